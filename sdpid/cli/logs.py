@@ -81,7 +81,7 @@ ACCEPTANCE = panel(
 LAW = panel(
     "Estimation",
     {
-        "--law pd|FILE": "The law that turned commanded positions into efforts, of a log without "
+        "--law NAME|FILE": "The law that turned commanded positions into efforts, of a log without "
         "measured efforts: pd with --kp and --kd, or a file with both: TOML, or MJCF with its "
         "actuators.",
         "--kp X,Y,...": "Gain of the law, N.m/rad: one for all joints, or one a joint. Left out, "

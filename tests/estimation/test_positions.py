@@ -37,10 +37,14 @@ def legs(tmp_path_factory):
     text = LEGS.format(legs=LEG.format("l", 0.1, DRIVES) + LEG.format("r", -0.1, DRIVES))
     path = tmp_path_factory.mktemp("legs") / "legs.xml"
     path.write_text(text)
-    robot = sdpid.load_robot(path)
-    terms = FrictionModel.from_terms((), robot.joint_names)
-    links = RobotDynamics(robot=robot, terms=terms, theta=np.asarray(robot.prior).ravel())
+    links = links_of_legs(sdpid.load_robot(path))
     return mujoco.MjModel.from_xml_string(text), links
+
+
+def links_of_legs(robot):
+    """The described links without drives."""
+    terms = FrictionModel.from_terms((), robot.joint_names)
+    return RobotDynamics(robot=robot, terms=terms, theta=np.asarray(robot.prior).ravel())
 
 
 def commanded(seconds):

@@ -31,8 +31,9 @@ _FORGOTTEN = 0.3
 _JUDGED, _LEAST_PART, _OPEN = 0.35, 1.5, 0.05
 
 
-# Delays (s) from which constants are fitted: the best of these starts counts.
-_STARTS = (0.002, 0.008)
+# Residuals one row apart that correlate by less are those of encoders: the model is complete. Then
+# a richer friction is there that lowers the sum of squares by so many variances a number.
+WHITE, _SHOWN = 0.3, 6.0
 
 # Fits that are compared end where a round promises this relative fall of the cost.
 ROUGH = 1e-4
@@ -58,8 +59,6 @@ class Choice:
         Delay (s) of the least error there.
     open : tuple of 2 float
         Delays whose error is not much larger.
-    starts : tuple of float
-        Error (rad, rms) of the fit of constants to the slower part, start by start.
     fitted : float
         Delay (s) that fits the slower part best.
     correlation : float
@@ -70,7 +69,6 @@ class Choice:
     errors: dict[tuple[str, ...], float]
     delay: float
     open: tuple[float, float]
-    starts: tuple[float, ...]
     fitted: float
     correlation: float
 
@@ -164,8 +162,9 @@ def choose_forward(
     ]
     judges = [log.rollout(links, fast) for log, (_, fast) in zip(logs, parts, strict=True)]
     errors: dict[tuple[str, ...], float] = {}
-    begun = _begun(training, drives, tuple(rows), delay)
-    fit = best = min(begun, key=lambda each: each.cost)
+    start = drives if delay is None else replace(drives, delay=delay)
+    fit = best = fit_positions(training, start, tuple(rows), delay=delay is None, fall=ROUGH)
+    size = sum(each.measured.size for each in training)
     errors[fit.unknowns.rows] = judged(judges, fit.drives)
     for k in range(1, len(RICHER) + 1):
         kinds = (*rows, *RICHER[:k])
@@ -173,12 +172,15 @@ def choose_forward(
             training, fit.drives, kinds, delay=delay is None, starts=fit.starts, fall=ROUGH
         )
         errors[kinds] = judged(judges, fit.drives)
-        if errors[kinds] < (1.0 - _WORTH) * errors[best.unknowns.rows]:
+        better = errors[kinds] < (1.0 - _WORTH) * errors[best.unknowns.rows]
+        # Where encoders' noise is all that is left, a share of it says little.
+        numbers = fit.unknowns.count - best.unknowns.count
+        shown = best.cost - fit.cost > _SHOWN * numbers * fit.cost / size
+        if better or (shown and fit.correlation < WHITE):
             best = fit
     found = {
         "rows": best.unknowns.rows,
         "errors": errors,
-        "starts": tuple(each.rms for each in begun),
         "fitted": best.drives.delay,
         "correlation": best.correlation,
     }
@@ -204,17 +206,6 @@ def choose_forward(
     smooth[near] = np.maximum(bend(fine[near]), _DEEPEST * squares.min())
     possible = fine[smooth <= (1.0 + _OPEN) ** 2 * smooth.min()]
     return Choice(delay=chosen, open=(float(possible[0]), float(possible[-1])), **found), best
-
-
-def _begun(
-    training: Sequence[Rollout], drives: Drives, rows: tuple[str, ...], delay: float | None
-) -> list[PositionFit]:
-    """Return fits of constants from several delays."""
-    delays = _STARTS if delay is None else (delay,)
-    return [
-        fit_positions(training, replace(drives, delay=d), rows, delay=delay is None, fall=ROUGH)
-        for d in delays
-    ]
 
 
 def judged(rollouts: Sequence[Rollout], drives: Drives) -> float:

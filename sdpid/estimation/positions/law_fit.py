@@ -16,6 +16,7 @@ from sdpid.estimation.positions.choose import (
     CONSTANTS,
     RICHER,
     ROUGH,
+    WHITE,
     Choice,
     Followed,
     choose_forward,
@@ -41,14 +42,14 @@ STEPS: dict[Target, float] = {"mujoco": 0.002, "isaac": 0.002, "urdf": 0.002}
 # Two-sided 95 % of a normal distribution.
 _NORMAL = 1.959964
 
-# Residuals one row apart that correlate by less are those of encoders: the model is complete.
-_WHITE = 0.3
-
 # A delay is told where its interval is no longer than this, s.
 _SHARP = 2e-3
 
-# Where the search for a delay begins, s.
-_FIRST = 0.004
+# The relative fall of the cost that a round must promise before the choice: links move after it.
+_ROUGHER = 1e-3
+
+# Delays (s) from which constants are fitted: the best of these starts counts.
+_STARTS = (0.002, 0.01)
 
 # Steps for the links before the choice: as long as one lowers the error by this share, or so many.
 _FELL, _MOST_STEPS = 0.2, 4
@@ -62,9 +63,6 @@ _SHOWN = 11
 # A given delay or kp is named as wrong where a fit that leaves it open has a smaller sum of squares
 # by this share, and errors on the faster part as well.
 _WRONG = 0.1
-
-# Damping and friction below this level (N·m, N·m·s/rad) are none.
-_NONE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -89,6 +87,8 @@ class LawFit(Shown):
         Drives with constants: what every simulator can hold.
     choice : Choice
         How kinds of friction and the delay were chosen.
+    starts : tuple of float
+        Errors (rad, rms) of constants, fitted from several delays with the first links.
     delay_found : bool
         Whether the delay was to be found.
     delay_interval : tuple of 2 float
@@ -124,6 +124,7 @@ class LawFit(Shown):
     rich: Drives
     reduced: Drives
     choice: Choice
+    starts: tuple[float, ...]
     delay_found: bool
     delay_interval: tuple[float, float]
     names: tuple[str, ...]
@@ -366,7 +367,7 @@ class LawFit(Shown):
                 "rms_validation": self.validated,
                 "rms_reduced": self.rms_reduced,
                 "judged": {"+".join(k): x for k, x in self.choice.errors.items()},
-                "starts": self.choice.starts,
+                "starts": self.starts,
                 "complete": self.complete,
                 "along": self.along,
                 "given_up": self.given_up,
@@ -429,30 +430,35 @@ def fit_law(
     where = np.concatenate([each.position for each in followed])
     drives = _begin(estimate, start or law, 0.5 * (where.min(axis=0) + where.max(axis=0)))
     fixed, kinds = law.delay, CONSTANTS if law.kp is not None else (*CONSTANTS, "kp")
-    drives = replace(drives, delay=_FIRST if fixed is None else fixed)
     # With the richest friction, so that links need not make up for what it lacks.
     rollouts = [each.rollout(links_of(problem, estimate.theta)) for each in followed]
-    rich = (*kinds, *RICHER)
-    fit = fit_positions(rollouts, drives, rich, delay=fixed is None, fall=ROUGH)
+    begun = [
+        fit_positions(rollouts, replace(drives, delay=d), kinds, delay=fixed is None, fall=_ROUGHER)
+        for d in (_STARTS if fixed is None else (fixed,))
+    ]
+    best, rich = min(begun, key=lambda each: each.cost), (*kinds, *RICHER)
+    fit = fit_positions(
+        rollouts, best.drives, rich, delay=fixed is None, starts=best.starts, fall=_ROUGHER
+    )
     for _ in range(_MOST_STEPS):
         before = fit.rms
-        estimate, rollouts, drives = _with_links(estimate, rollouts, fit)
+        estimate, rollouts, drives, starts = _with_links(estimate, rollouts, fit)
         fit = fit_positions(
-            rollouts, drives, rich, delay=fixed is None, starts=fit.starts, fall=ROUGH
+            rollouts, drives, rich, delay=fixed is None, starts=starts, fall=_ROUGHER
         )
         if fit.rms > (1.0 - _FELL) * before:
             break
     links = links_of(problem, estimate.some_theta)
     begin = fit.drives.with_rows(slope=0.0, curve=0.0)
     choice, slow = choose_forward(followed, links, begin, rows=kinds, delay=fixed)
-    complete = choice.correlation < _WHITE
+    complete = choice.correlation < WHITE
     held = fixed is None and not complete
     found = conditional(slow, choice.delay)[0] if held else slow.drives
     how = {"delay": fixed is None, "held": held}
     fit = fit_positions(rollouts, found, choice.rows, **how, fall=ROUGH if held else FALL)
     for _ in range(_POLISHED if complete else 0):
-        estimate, rollouts, found = _with_links(estimate, rollouts, fit)
-        fit = fit_positions(rollouts, found, choice.rows, **how, starts=fit.starts)
+        estimate, rollouts, found, starts = _with_links(estimate, rollouts, fit)
+        fit = fit_positions(rollouts, found, choice.rows, **how, starts=starts)
     normal = JointNormal.of(problem, rollouts, fit)
     covariance, interval = _spread(normal, estimate, fit, choice, held)
     reduced = fit.drives.with_rows(
@@ -478,6 +484,7 @@ def fit_law(
         rich=fit.drives,
         reduced=reduced,
         choice=choice,
+        starts=tuple(each.rms for each in begun),
         delay_found=fixed is None,
         delay_interval=interval,
         names=fit.unknowns.names,
@@ -491,7 +498,7 @@ def fit_law(
         convex=estimate,
         notes=(
             *dict.fromkeys(each.told.note for each in followed),
-            f"drives are the best of {len(choice.starts)} starts of a local search",
+            f"drives are the best of {len(begun)} starts of a local search",
         ),
         warnings=() if fixed is None else tuple(_named_delay(rollouts, fit)),
         validated=judged(fresh, fit.drives) if fresh else None,
@@ -500,10 +507,10 @@ def fit_law(
 
 def _with_links(
     estimate: Estimate, rollouts: list[Rollout], fit: PositionFit
-) -> tuple[Estimate, list[Rollout], Drives]:
+) -> tuple[Estimate, list[Rollout], Drives, Sequence[Array]]:
     """Return what a convex step for the links finds, or all as it is."""
     found = with_links(estimate.problem, estimate.some_theta, rollouts, fit)
-    return (estimate, rollouts, fit.drives) if found is None else found
+    return (estimate, rollouts, fit.drives, fit.starts) if found is None else found
 
 
 def first_law(

@@ -17,7 +17,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_rows
-from sdpid.estimation.positions.drives import Drives
+from sdpid.estimation.positions.drives import LONGEST_DELAY, Drives
 from sdpid.estimation.positions.fit import PositionFit, block_starts
 from sdpid.estimation.positions.rollout import Rollout
 from sdpid.estimation.posterior import prior_rows
@@ -129,6 +129,22 @@ class JointNormal:
         moved = found.base - at
         return found, inverse @ (g[b:] - H[b:, :b] @ moved)
 
+    def moved(self, fit: PositionFit, step: Array) -> tuple[Drives, list[Array]]:
+        """Return the drives and starts of a fit after a step of all that is no base parameter."""
+        n, drives, k = self.problem.robot.n, fit.drives, 0
+        for kind in fit.unknowns.rows:
+            if kind not in SYMBOLS.values():
+                drives = drives.with_rows(**{kind: drives[kind] + step[k : k + n]})
+                k += n
+        if fit.unknowns.delay:
+            delay = float(np.clip(drives.delay + step[k], 0.0, LONGEST_DELAY))
+            drives, k = replace(drives, delay=delay), k + 1
+        starts = [
+            each + step[k + 2 * n * r : k + 2 * n * (r + 1)].reshape(2, n)
+            for r, each in enumerate(fit.starts)
+        ]
+        return drives, starts
+
     def covariance(self, estimate: Estimate, closed: Mask, held: bool) -> tuple[Array, Array]:
         """Return the covariance of theta and all else, and how these move with the delay.
 
@@ -177,8 +193,8 @@ def _scaled(H: Array) -> tuple[Array, Array]:
 
 def with_links(
     problem: Problem, theta: Array, rollouts: Sequence[Rollout], fit: PositionFit
-) -> tuple[Estimate, list[Rollout], Drives] | None:
-    """Return better links, rollouts with them and drives to go on from; None where none are.
+) -> tuple[Estimate, list[Rollout], Drives, list[Array]] | None:
+    """Return better links, rollouts with them, and drives and starts to go on from, if there are.
 
     Parameters
     ----------
@@ -197,30 +213,27 @@ def with_links(
         kind = SYMBOLS[parameter.name.rstrip("0123456789")]
         here[links + k] = fit.drives[kind][parameter.joint]
     normal = JointNormal.of(problem, rollouts, fit)
-    found, _ = normal.step(here)
+    found, others = normal.step(here)
     if found.theta is None or found.status != "optimal":
         return None
     before = fit.cost / normal.variance + _belief(problem, here)
     for share in _SHARES:
         there = here + share * (found.theta - here)
         own = [each.with_links(links_of(problem, there)) for each in rollouts]
-        drives = fit.drives
+        drives, starts = normal.moved(fit, share * others)
         for k, parameter in enumerate(problem.friction.parameters):
             kind = SYMBOLS[parameter.name.rstrip("0123456789")]
             row = drives[kind].copy()
             row[parameter.joint] = max(there[links + k], 0.0)
             drives = drives.with_rows(**{kind: row})
         cost = 0.0
-        for each, start in zip(own, fit.starts, strict=True):
+        for each, start in zip(own, starts, strict=True):
             motion = each.run(drives, start)
             missed = each.measured - each.positions(motion)
             cost += float(np.sum(missed**2)) if motion.converged else np.inf
         if cost / normal.variance + _belief(problem, there) < before:
-            return (
-                Estimate.of_theta(problem, there, method="positions", status="given"),
-                own,
-                drives,
-            )
+            found = Estimate.of_theta(problem, there, method="positions", status="given")
+            return found, own, drives, starts
     return None
 
 

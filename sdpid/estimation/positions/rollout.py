@@ -121,6 +121,7 @@ class Rollout:
         # The reference pose of an MJCF is that of zero positions.
         self._resting = links.mass_matrix(np.zeros(n))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def run(self, drives: Drives, start: Array, guess: Array | None = None) -> Motion:
         """Solve the motion from a start (2, n); `guess` are positions (K + 1, n) to begin at."""
         h, n = self.step, len(drives.middle)

@@ -125,7 +125,7 @@ def headline(result: Judged) -> Headline:
             title=f"{of.robot.name}: {of.robot.n} joints, drives fitted to positions under a law",
             warnings=tuple(each.warning for each in findings(result) if each.warning),
             proven=f"of the links, by the law's efforts: {_proven(of)}; drives are the best of "
-            f"{len(drives.choice.starts)} starts",
+            f"{len(drives.starts)} starts",
             log=tuple(_log(result)),
             delay=drives.delay_in_words,
             given_up=drives.given_up,

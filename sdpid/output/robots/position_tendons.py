@@ -89,7 +89,8 @@ def _few(columns: Array, level: Array) -> tuple[Array, float]:
 
     def fitted(used: list[int]) -> tuple[Array, float]:
         values = np.zeros(columns.shape[1])
-        values[used] = nnls(columns[:, used], level, maxiter=_MOST_ROUNDS)[0]
+        if used:
+            values[used] = nnls(columns[:, used], level, maxiter=_MOST_ROUNDS)[0]
         return values, float(np.abs(columns @ values - level).max())
 
     values, error = fitted(list(range(columns.shape[1])))
