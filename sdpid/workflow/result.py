@@ -196,7 +196,11 @@ def _robots(
         exports.append(write_urdf(estimate, target=folder / "identified.urdf"))
     mjcf, missing = folder / "identified.xml", None
     try:
-        how = {"offsets": offsets, "tendons": tendons, "steep": result.drives is None}
+        how: dict[str, Any] = {
+            "offsets": offsets,
+            "tendons": tendons,
+            "steep": result.drives is None,
+        }
         exports.append(write_mjcf(estimate, target=mjcf, **how))
     except MissingExtraError:
         missing = f"mujoco is not installed ({installation('sim')})"

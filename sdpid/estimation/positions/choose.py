@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -178,7 +179,7 @@ def choose_forward(
         shown = best.cost - fit.cost > _SHOWN * numbers * fit.cost / size
         if better or (shown and fit.correlation < WHITE):
             best = fit
-    found = {
+    found: dict[str, Any] = {
         "rows": best.unknowns.rows,
         "errors": errors,
         "fitted": best.drives.delay,

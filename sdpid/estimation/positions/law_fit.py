@@ -454,7 +454,7 @@ def fit_law(
     complete = choice.correlation < WHITE
     held = fixed is None and not complete
     found = conditional(slow, choice.delay)[0] if held else slow.drives
-    how = {"delay": fixed is None, "held": held}
+    how: dict[str, Any] = {"delay": fixed is None, "held": held}
     fit = fit_positions(rollouts, found, choice.rows, **how, fall=ROUGH if held else FALL)
     for _ in range(_POLISHED if complete else 0):
         estimate, rollouts, found, starts = _with_links(estimate, rollouts, fit)

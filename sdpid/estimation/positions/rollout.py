@@ -24,7 +24,7 @@ from sdpid.robot.model.dynamics import RobotDynamics
 
 # Newton's rounds end after a move of no position by more (rad or m): the next one is a hundredth of
 # it and less. Without success they end after so many.
-_SETTLED, _ROUNDS = 1e-5, 40
+_SETTLED, _ROUNDS = 1e-5, 15
 
 # The robot's slopes are taken along the measured motion below this frequency, Hz: they change with
 # its position and velocity, not with its noise.
@@ -111,7 +111,7 @@ class Rollout:
             [np.interp(self._grid, self._time, measured[:, j]) for j in range(n)], axis=1
         )
         smooth = self._smooth()
-        slopes = (*inverse_dynamics_slopes(links, *smooth), links.mass_matrix(smooth[0]))
+        slopes = inverse_dynamics_slopes(links, *smooth)
         self._components = _components(slopes[2])
         # By position and by velocity, and masses: block by block, most of the whole is zero.
         self._slopes = [
@@ -202,8 +202,14 @@ class Rollout:
 
     def with_links(self, links: RobotDynamics) -> Rollout:
         """Return the same stretch for other links."""
-        how = {"step": self.step, "stiction": self.stiction}
-        return Rollout(links, self._time, self.measured, self.commands, **how)
+        return Rollout(
+            links,
+            self._time,
+            self.measured,
+            self.commands,
+            step=self.step,
+            stiction=self.stiction,
+        )
 
     def columns(
         self,

@@ -22,7 +22,7 @@ from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.robot_contacts import with_loops
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.readers.scaled import require_torques
+from sdpid.experiment.readers.scaled import require_measured
 from sdpid.experiment.recording.floating import BaseMotion
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
@@ -70,8 +70,7 @@ class Subject:
         """Return a recording with its robot; what is a subject already knows its robot."""
         if isinstance(log, Subject):
             return log
-        if log.effort is None:
-            require_torques(log)
+        require_measured(log)
         try:
             matched = log if robot is None else match_joints(robot, log)
         except DataError as refused:

@@ -44,10 +44,15 @@ def require_torques(log: Recording, name: str | None = None) -> None:
     DataError
         Saying how to get gains, or what to do without efforts.
     """
-    if log.effort is None:
-        raise DataError(NO_EFFORT if name is None else f"{name}: {NO_EFFORT}")
+    require_measured(log, name)
     if log.currents:
         raise DataError(IN_AMPERES if name is None else f"{name}: {IN_AMPERES}")
+
+
+def require_measured(log: Recording, name: str | None = None) -> None:
+    """Refuse a recording without efforts; as `require_torques`."""
+    if "effort" not in log.channels:
+        raise DataError(NO_EFFORT if name is None else f"{name}: {NO_EFFORT}")
 
 
 def scaled(log: Recording, gains: Any) -> Recording:

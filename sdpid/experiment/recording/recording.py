@@ -189,7 +189,7 @@ class Recording(Sampled):
             words.append("efforts in A")
         if self.reference is not None:
             words.append("with reference")
-        if self.effort is None:
+        if "effort" not in self.channels:
             words.append("no effort")
         if self.base is not None:
             words.append("floating base" + (" with IMU" if self.base.imu is not None else ""))
@@ -201,7 +201,7 @@ class Recording(Sampled):
         low, high = extremes(self.position)
         columns: dict[str, Any] = {"joint": self.names, "least position": low.tolist()}
         columns |= {"greatest position": high.tolist()}
-        if self.effort is not None:
+        if "effort" in self.channels:
             rms = np.sqrt(np.mean(np.square(self.effort), axis=0))
             columns |= {f"rms effort{', A' * self.currents}": rms.tolist()}
         return [Table.of_columns(columns)]

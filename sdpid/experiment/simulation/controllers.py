@@ -390,9 +390,10 @@ class PD(JointLaw):
                 f"law: PD has gains of {len(kd)} joints, the robot has {n}; give one number for "
                 "all, or one a joint."
             )
-        each = {name: getattr(self, name) for name in ("kp", "kd", "limit")}
-        spread = {k: None if x is None else np.broadcast_to(x, n) for k, x in each.items()}
-        return replace(self, effort_limit=None, **spread)
+        kp, limit = (
+            None if x is None else np.broadcast_to(np.asarray(x), n) for x in (self.kp, self.limit)
+        )
+        return replace(self, kp=kp, kd=np.broadcast_to(kd, n), limit=limit, effort_limit=None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -505,20 +506,24 @@ class ComputedTorque(JointLaw):
         v, _, _, ad, _ = states
         M, _, _ = self.arm.dynamics(q, v, np.zeros_like(q))
         a = ad + super()._unlimited(q, *states)
-        by_position, by_velocity = inverse_dynamics_slopes(self.model, q, v, a)
+        by_position, by_velocity, _ = inverse_dynamics_slopes(self.model, q, v, a)
         return by_position - M * self.kp, by_velocity - M * self.kd
 
 
 def inverse_dynamics_slopes(
     model: RobotDynamics, q: Array, v: Array, a: Array
-) -> tuple[Array, Array]:
-    """Return the derivatives (K, n, n) of the links' efforts by position and velocity."""
+) -> tuple[Array, Array, Array]:
+    """Return the derivatives (K, n, n) of the links' efforts by q, v and a."""
     import pinocchio as pin
 
     robot, links = model.robot, model.to_pinocchio()
     data, E = links.createData(), robot.expansion
-    slopes = np.empty((2, len(q), robot.n, robot.n))
+    slopes = np.empty((3, len(q), robot.n, robot.n))
+    found, below = np.empty((3, links.nv, links.nv)), np.tril_indices(links.nv, -1)
     for k, state in enumerate(zip(robot.configuration(q), v @ E.T, a @ E.T, strict=True)):
         pin.computeRNEADerivatives(links, data, *state)
-        slopes[:, k] = E.T @ np.stack([data.dtau_dq, data.dtau_dv]) @ E
-    return slopes[0], slopes[1]
+        # Of the mass matrix the upper triangle is there.
+        found[0], found[1], found[2] = data.dtau_dq, data.dtau_dv, data.M
+        found[2][below] = found[2].T[below]
+        slopes[:, k] = E.T @ found @ E
+    return slopes[0], slopes[1], slopes[2]

@@ -226,7 +226,7 @@ def fit_controller(
             )
     controller: Controller | None = None
     if all(x.min() > 0.0 for name, x in gains.items() if name != "ki"):
-        limited = {name: np.maximum(x, 0.0) for name, x in gains.items()}
+        limited: dict[str, Any] = {name: np.maximum(x, 0.0) for name, x in gains.items()}
         controller = KINDS[kind](**limited, feedforward=feedforward)
     return FittedController(
         kind=kind,

@@ -98,7 +98,7 @@ def _linearized(
     # A joint that sticks keeps a velocity of rounding.
     v = np.where((np.abs(v) <= _RESTS) & (jumps > 0.0), 0.0, v)
     M, _, a = arm.dynamics(q, v, effort)
-    by_position, by_velocity = inverse_dynamics_slopes(arm.model, q, v, a)
+    by_position, by_velocity, _ = inverse_dynamics_slopes(arm.model, q, v, a)
     C = by_velocity + _friction_slopes(arm.model, v) - damping
     return M, C, by_position - stiffness, base_regressor(arm.model, base, q, v, a), v, a
 

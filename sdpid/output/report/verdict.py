@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -462,7 +463,11 @@ def positions(of: VerdictSubject) -> Iterator[VerdictFinding]:
     """Say how well positions under a known law are predicted, and what stays open."""
     drives = of.result.drives
     if drives is not None:
-        words = {"error": drives.summary, "delay": drives.delay_in_words, "lost": drives.given_up}
+        words: dict[str, Any] = {
+            "error": drives.summary,
+            "delay": drives.delay_in_words,
+            "lost": drives.given_up,
+        }
         yield found("positions", target=drives.target, **words)
         for each in drives.warnings:
             yield found("law_contradicted", words=each)

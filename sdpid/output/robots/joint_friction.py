@@ -179,11 +179,12 @@ def joint_attributes(
     bends = {
         joint: each
         for part in places.bent
+        if isinstance(part.term, PositionFriction)
         for joint, each in zip(places.joints, bent_friction(part.term, part.values), strict=True)
     }
-    for j, joint in enumerate(places.joints if bends else ()):
-        values.setdefault(Coulomb, np.zeros(len(places.joints)))[j] += bends[joint].own
     if bends:
+        own = np.array([bends[joint].own for joint in places.joints])
+        values[Coulomb] = values.get(Coulomb, 0.0) + own
         worst = max(bends, key=lambda joint: bends[joint].error)
         notes += (
             f"friction over position is {sum(len(x.tendons) for x in bends.values())} tendons, "

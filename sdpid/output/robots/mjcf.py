@@ -128,7 +128,8 @@ def write_mjcf(
         notes += ("offsets have a place where they are asked for: offsets=True, or --offsets",)
     if not np.array_equal(robot.gravity, problem.robot.gravity):
         notes += (f"gravity is {text.write_gravity()} m/s²: its base stands tilted, as found",)
-    text.write_joints(friction.values, STEEP if steep else {})
+    text.dry = STEEP if steep else {}
+    text.write_joints(friction.values)
     text.write_tendons(friction.tendons, problem.friction.joint_names)
     text.write_bent(friction.bent)
     text.write_offsets(friction.offsets)
@@ -221,6 +222,7 @@ class Mjcf(RobotText):
     ) -> None:
         super().__init__(robot, what, text)
         self.folder, self.ours = folder, ours
+        self.dry: Mapping[str, str] = STEEP
         self.cleared: list[str] = []
         self.root = parse_xml(text, what)
         try:
@@ -287,9 +289,7 @@ class Mjcf(RobotText):
         own.attrib.update(inertial_values(inertial))
         self.changed.append(self.name(body))
 
-    def write_joints(
-        self, values: Mapping[str, Mapping[str, float]], dry: Mapping[str, str]
-    ) -> None:
+    def write_joints(self, values: Mapping[str, Mapping[str, float]]) -> None:
         """Write the joints' numbers, and how dry friction acts.
 
         Those of joints that mimic another count at that one. Where there is no armature, the links
@@ -309,7 +309,7 @@ class Mjcf(RobotText):
                 self.cleared.append(name)
             if new:
                 text = {key: numbers(value) for key, value in new.items()}
-                how = dry if new.get("frictionloss") else {}
+                how = self.dry if new.get("frictionloss") else {}
                 self._joint(name, carrier).attrib.update({**text, **how})
                 self.joints_changed.append(name)
 
