@@ -637,6 +637,6 @@ def each_state(
     """Return the results (K, *shape) of an algorithm of Pinocchio, state by state."""
     data, out = model.createData(), np.empty((len(states[0]), *shape))
     for k, state in enumerate(zip(*states, strict=True)):
-        # With a single joint the binding drops the axis of length one.
-        out[k] = np.reshape(algorithm(model, data, *state), shape)
+        # With a single joint the binding drops the axis of length one, which assignment restores.
+        out[k] = algorithm(model, data, *state)
     return out
