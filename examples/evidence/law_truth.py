@@ -1,4 +1,4 @@
-"""Drives from positions under a known law, on simulated robots whose truth is known.
+"""DriveNumbers from positions under a known law, on simulated robots whose truth is known.
 
 An arm of four joints, a leg of three and a quadruped that hangs (the Go2 of the public records).
 Their links differ from the description by some percent. Delay, friction, encoder and rate vary.
@@ -15,8 +15,8 @@ from scipy.ndimage import gaussian_filter1d
 from study import Row, Study
 
 import sdpid
-from sdpid.estimation.positions.drives import Drives
-from sdpid.estimation.positions.rollout import Rollout, Stiction
+from sdpid.estimation.positions.drives import DriveNumbers
+from sdpid.estimation.positions.rollout import LawRollout, Stiction
 from sdpid.experiment.simulation.law import Told
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -68,7 +68,7 @@ def commanded(n: int, seconds: float, rate: float, middle: np.ndarray) -> tuple:
     return time, middle + np.stack(angle, axis=1)
 
 
-def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recording, Drives]:
+def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recording, DriveNumbers]:
     """Return a robot, its log and the true drives."""
     name, delay, rate, noise, bent, seed = case
     robot, rng = robot_of(name, data), np.random.default_rng(seed)
@@ -79,7 +79,7 @@ def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recordin
     terms = FrictionModel.from_terms((), robot.joint_names)
     links = RobotDynamics(robot=robot, terms=terms, theta=bodies.ravel())
     kp, kd = GAINS[name]
-    drives = Drives(values=np.zeros((8, n)), middle=middle, delay=1e-3 * delay).with_rows(
+    drives = DriveNumbers(values=np.zeros((8, n)), middle=middle, delay=1e-3 * delay).with_rows(
         armature=rng.uniform(0.008, 0.03, n) * (6.0 if name == "arm" else 1.0),
         damping=rng.uniform(0.1, 0.5, n),
         friction=rng.uniform(0.2, 0.6, n),
@@ -91,11 +91,11 @@ def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recordin
     told = Told(command=command, feedforward=0.0 * command, limit=limit, held=True, note="")
     start = np.stack([command[0], np.zeros(n)])
     how = {"step": STEP, "stiction": Stiction.mujoco()}
-    rollout = Rollout(links, time, gaussian_filter1d(command, 0.02 * rate, axis=0), told, **how)
+    rollout = LawRollout(links, time, gaussian_filter1d(command, 0.02 * rate, axis=0), told, **how)
     # Links move along the commands at first, then along the motion itself.
     for _ in range(2):
         position = rollout.positions(rollout.run(drives, start))
-        rollout = Rollout(links, time, position, told, **how)
+        rollout = LawRollout(links, time, position, told, **how)
     position = rollout.positions(rollout.run(drives, start))
     position = position + noise * rng.standard_normal(position.shape)
     counts = 2.0 * np.pi / 2**16

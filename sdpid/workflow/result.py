@@ -334,7 +334,7 @@ class Identification(Judged, Shown):
         How the rows are made of the recordings, for who checks the result from the log.
     recipe_note : str or None
         Why there is no recipe.
-    drives : LawFit or None
+    drives : FittedDrives or None
         Drives fitted to positions under a known law, where that was given: the best of several
         starts, while `estimate` is the convex fit that the certificate is of.
 

@@ -11,7 +11,7 @@ import pytest
 import sdpid
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.positions.choose import CONSTANTS, Followed, choose_forward
-from sdpid.estimation.positions.drives import Drives
+from sdpid.estimation.positions.drives import DriveNumbers
 from sdpid.estimation.positions.fit import fit_positions
 from sdpid.estimation.positions.rollout import Stiction
 from sdpid.experiment.simulation.law import Told
@@ -57,8 +57,8 @@ def commanded(seconds):
 
 
 def drives(**rows):
-    """Drives of the legs."""
-    made = Drives(values=np.zeros((8, N)), middle=np.zeros(N), delay=rows.pop("delay", 0.0))
+    """DriveNumbers of the legs."""
+    made = DriveNumbers(values=np.zeros((8, N)), middle=np.zeros(N), delay=rows.pop("delay", 0.0))
     usual = {"armature": 0.01, "damping": 0.3, "friction": 0.25, "kp": KP, "kd": KD}
     return made.with_rows(**usual | rows)
 

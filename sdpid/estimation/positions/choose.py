@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.estimation.positions.drives import LONGEST_DELAY, Drives
+from sdpid.estimation.positions.drives import LONGEST_DELAY, DriveNumbers
 from sdpid.estimation.positions.fit import PositionFit, conditional, fit_positions
-from sdpid.estimation.positions.rollout import Rollout, Stiction
+from sdpid.estimation.positions.rollout import LawRollout, Stiction
 from sdpid.experiment.simulation.law import Told
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -47,7 +46,7 @@ _TRIED, _FINE = 9, 401
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Choice:
+class ForwardChoice:
     """What was found by the slower and judged by the faster part.
 
     Attributes
@@ -98,11 +97,11 @@ class Followed:
     step: float
     stiction: Stiction
 
-    def rollout(self, links: RobotDynamics, part: slice = slice(None)) -> Rollout:
+    def rollout(self, links: RobotDynamics, part: slice = slice(None)) -> LawRollout:
         """Return a rollout over rows of the log."""
         command, added = self.told.command[part], self.told.feedforward[part]
         told = replace(self.told, command=command, feedforward=added)
-        return Rollout(
+        return LawRollout(
             links,
             self.time[part],
             self.position[part],
@@ -137,11 +136,11 @@ class Followed:
 def choose_forward(
     logs: Sequence[Followed],
     links: RobotDynamics,
-    drives: Drives,
+    drives: DriveNumbers,
     *,
     rows: Sequence[str] = CONSTANTS,
     delay: float | None = None,
-) -> tuple[Choice, PositionFit]:
+) -> tuple[ForwardChoice, PositionFit]:
     """Choose kinds of friction and a delay; return them with the fit of the slower part.
 
     Parameters
@@ -150,13 +149,15 @@ def choose_forward(
         The logs.
     links : RobotDynamics
         The robot and the inertia of its links.
-    drives : Drives
+    drives : DriveNumbers
         Where to begin.
     rows : sequence of str
         Kinds of numbers that are free whatever the data say.
     delay : float, optional
         The delay, s; by default it is looked for.
     """
+    from scipy.interpolate import PchipInterpolator
+
     parts = [each.split() for each in logs]
     training = [
         log.rollout(links, x) for log, (slow, _) in zip(logs, parts, strict=True) for x in slow
@@ -186,13 +187,13 @@ def choose_forward(
         "correlation": best.correlation,
     }
     if delay is not None:
-        return Choice(delay=delay, open=(delay, delay), **found), best
+        return ForwardChoice(delay=delay, open=(delay, delay), **found), best
     grid = np.linspace(0.0, LONGEST_DELAY, _TRIED)
     squares = np.array([judged(judges, conditional(best, d)[0]) for d in grid]) ** 2
     if not np.isfinite(squares).any():
         # Nothing follows at another delay: that of the fit is all there is.
         at = best.drives.delay
-        return Choice(delay=at, open=(at, at), **found), best
+        return ForwardChoice(delay=at, open=(at, at), **found), best
     # A few delays that no motion follows are as bad as the worst.
     squares = np.where(np.isfinite(squares), squares, np.nanmax(squares[np.isfinite(squares)]))
     k = int(np.clip(np.argmin(squares), 1, _TRIED - 2))
@@ -206,10 +207,12 @@ def choose_forward(
     # A parabola through three points of a steep valley may fall below any error.
     smooth[near] = np.maximum(bend(fine[near]), _DEEPEST * squares.min())
     possible = fine[smooth <= (1.0 + _OPEN) ** 2 * smooth.min()]
-    return Choice(delay=chosen, open=(float(possible[0]), float(possible[-1])), **found), best
+    return ForwardChoice(
+        delay=chosen, open=(float(possible[0]), float(possible[-1])), **found
+    ), best
 
 
-def judged(rollouts: Sequence[Rollout], drives: Drives) -> float:
+def judged(rollouts: Sequence[LawRollout], drives: DriveNumbers) -> float:
     """Return the error (rad, rms) of given drives on rollouts, after their start is forgotten."""
     squares, count = 0.0, 0
     for each in rollouts:

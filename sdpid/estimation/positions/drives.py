@@ -9,7 +9,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 
-# Numbers of every joint, in the order of the rows of `Drives.values`, and their units.
+# Numbers of every joint, in the order of the rows of `DriveNumbers.values`, and their units.
 UNITS = {
     "armature": "kg.m2",
     "damping": "N.m.s/rad",
@@ -30,7 +30,7 @@ LONGEST_DELAY = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Drives:
+class DriveNumbers:
     """Numbers of the drives of n joints.
 
     Attributes
@@ -62,7 +62,7 @@ class Drives:
         level = self["friction"] + z * (self["slope"] + z * self["curve"])
         return np.asarray(np.maximum(level, 0.0))
 
-    def with_rows(self, **rows: Array | float) -> Drives:
+    def with_rows(self, **rows: Array | float) -> DriveNumbers:
         """Return a copy with other values of these kinds."""
         values = self.values.copy()
         for name, row in rows.items():
@@ -109,12 +109,12 @@ class Unknowns:
         parts = [j] * len(self.rows) + [[-1]] * self.delay + [j] * (2 * self.motions)
         return np.concatenate([*parts, []]).astype(np.intp)
 
-    def pack(self, drives: Drives, starts: Sequence[Array]) -> Array:
+    def pack(self, drives: DriveNumbers, starts: Sequence[Array]) -> Array:
         """Return the vector of these drives and starts, (2, n) a motion."""
         rows = [drives[name] for name in self.rows]
         return np.concatenate([*rows, [drives.delay] * self.delay, *(s.ravel() for s in starts)])
 
-    def unpack(self, x: Array, drives: Drives) -> tuple[Drives, list[Array]]:
+    def unpack(self, x: Array, drives: DriveNumbers) -> tuple[DriveNumbers, list[Array]]:
         """Return drives and starts of a vector; what is not free stays as in `drives`."""
         size = len(self.rows) * self.n
         rows = dict(zip(self.rows, x[:size].reshape(-1, self.n), strict=True))

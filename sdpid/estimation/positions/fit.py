@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import SolverError
-from sdpid.estimation.positions.drives import Drives, Unknowns
-from sdpid.estimation.positions.rollout import Motion, Rollout
+from sdpid.estimation.positions.drives import DriveNumbers, Unknowns
+from sdpid.estimation.positions.rollout import LawRollout, SolvedMotion
 
 # Rounds of Gauss-Newton, and the relative fall of the cost that a round must promise.
 _ROUNDS, FALL = 40, 1e-5
@@ -36,7 +35,7 @@ class PositionFit:
 
     Attributes
     ----------
-    drives : Drives
+    drives : DriveNumbers
         The best numbers found.
     starts : tuple of ndarray, shape (2, n)
         Position and velocity at the start of every motion.
@@ -56,7 +55,7 @@ class PositionFit:
         Of residuals one row apart: of encoder noise alone it is 0.
     """
 
-    drives: Drives
+    drives: DriveNumbers
     starts: tuple[Array, ...]
     unknowns: Unknowns
     cost: float
@@ -68,8 +67,8 @@ class PositionFit:
 
 
 def fit_positions(
-    rollouts: Sequence[Rollout],
-    drives: Drives,
+    rollouts: Sequence[LawRollout],
+    drives: DriveNumbers,
     rows: Sequence[str],
     *,
     delay: bool = True,
@@ -81,9 +80,9 @@ def fit_positions(
 
     Parameters
     ----------
-    rollouts : sequence of Rollout
+    rollouts : sequence of LawRollout
         Stretches of logs of one robot.
-    drives : Drives
+    drives : DriveNumbers
         Where to begin, and the values of what is not free.
     rows : sequence of str
         Kinds of numbers that are free.
@@ -149,7 +148,7 @@ def fit_positions(
     )
 
 
-def conditional(fit: PositionFit, delay: float) -> tuple[Drives, float]:
+def conditional(fit: PositionFit, delay: float) -> tuple[DriveNumbers, float]:
     """Return the best drives for another delay and their error, by a fit's quadratic model."""
     unknowns, names = fit.unknowns, fit.unknowns.names
     x = unknowns.pack(fit.drives, fit.starts)
@@ -168,16 +167,16 @@ def conditional(fit: PositionFit, delay: float) -> tuple[Drives, float]:
 class _State:
     """Motions of all rollouts for some numbers, and what they miss."""
 
-    drives: Drives
-    motions: list[Motion]
+    drives: DriveNumbers
+    motions: list[SolvedMotion]
     missed: list[Array]
     cost: float
 
     @classmethod
     def of(
         cls,
-        rollouts: Sequence[Rollout],
-        drives: Drives,
+        rollouts: Sequence[LawRollout],
+        drives: DriveNumbers,
         starts: Sequence[Array],
         near: _State | None,
     ) -> _State:
@@ -192,7 +191,9 @@ class _State:
         solved = all(each.converged for each in motions) and np.isfinite(cost)
         return cls(drives, motions, missed, cost if solved else np.inf)
 
-    def normal(self, rollouts: Sequence[Rollout], unknowns: Unknowns) -> tuple[Array, Array, Array]:
+    def normal(
+        self, rollouts: Sequence[LawRollout], unknowns: Unknowns
+    ) -> tuple[Array, Array, Array]:
         """Return JᵀJ, Jᵀe, and the sums of Jᵀe over blocks of rows, (blocks, count)."""
         count, n = unknowns.count, unknowns.n
         H, g, scores = np.zeros((count, count)), np.zeros(count), []
@@ -217,7 +218,7 @@ class _State:
         return H, g, np.concatenate(scores)
 
 
-def block_starts(rollout: Rollout) -> Indices:
+def block_starts(rollout: LawRollout) -> Indices:
     """Return the first rows of blocks that count as independent."""
     rows = len(rollout.measured)
     count = max(_BLOCKS, int(rollout.count * rollout.step / _LEAST_BLOCK))
@@ -232,6 +233,8 @@ def _correlation(missed: Sequence[Array]) -> float:
 
 def _bounded_step(H: Array, g: Array, damping: float, low: Array, high: Array) -> Array:
     """Minimize the damped quadratic model within bounds."""
+    from scipy.optimize import lsq_linear
+
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), _UNSEEN))
     ridge = max(damping, _RIDGE)
     L = np.linalg.cholesky(H * scale * scale[:, None] + ridge * np.eye(len(g)))

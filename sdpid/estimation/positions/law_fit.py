@@ -17,15 +17,15 @@ from sdpid.estimation.positions.choose import (
     RICHER,
     ROUGH,
     WHITE,
-    Choice,
     Followed,
+    ForwardChoice,
     choose_forward,
     judged,
 )
-from sdpid.estimation.positions.drives import LONGEST_DELAY, ROW, UNITS, Drives
+from sdpid.estimation.positions.drives import LONGEST_DELAY, ROW, UNITS, DriveNumbers
 from sdpid.estimation.positions.fit import FALL, PositionFit, conditional, fit_positions
 from sdpid.estimation.positions.links import SYMBOLS, JointNormal, links_of, with_links
-from sdpid.estimation.positions.rollout import Rollout, Stiction
+from sdpid.estimation.positions.rollout import LawRollout, Stiction
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
@@ -66,7 +66,7 @@ _WRONG = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class LawFit(Shown):
+class FittedDrives(Shown):
     """Drives of a robot, fitted to positions of rollouts under a known law.
 
     The convex fit to the law's efforts gives links and a start, and its optimum is proven. From it
@@ -81,11 +81,11 @@ class LawFit(Shown):
         Where the model will be used.
     joint_names : tuple of str
         The joints.
-    rich : Drives
-        Drives with the friction that the data ask for.
-    reduced : Drives
-        Drives with constants: what every simulator can hold.
-    choice : Choice
+    rich : DriveNumbers
+        DriveNumbers with the friction that the data ask for.
+    reduced : DriveNumbers
+        DriveNumbers with constants: what every simulator can hold.
+    choice : ForwardChoice
         How kinds of friction and the delay were chosen.
     starts : tuple of float
         Errors (rad, rms) of constants, fitted from several delays with the first links.
@@ -121,9 +121,9 @@ class LawFit(Shown):
     law: PD
     target: Target
     joint_names: tuple[str, ...]
-    rich: Drives
-    reduced: Drives
-    choice: Choice
+    rich: DriveNumbers
+    reduced: DriveNumbers
+    choice: ForwardChoice
     starts: tuple[float, ...]
     delay_found: bool
     delay_interval: tuple[float, float]
@@ -385,7 +385,7 @@ def fit_law(
     target: Target = "mujoco",
     start: PD | None = None,
     validation: Sequence[Recording] = (),
-) -> LawFit:
+) -> FittedDrives:
     """Fit drives to positions under a law, with the links of an estimate held.
 
     Parameters
@@ -477,7 +477,7 @@ def fit_law(
         np.mean(np.concatenate([np.gradient(x.position, x.time, axis=0) for x in followed]) ** 2, 0)
     )
     fresh = [each.rollout(links_of(problem, estimate.some_theta)) for each in others]
-    return LawFit(
+    return FittedDrives(
         law=replace(law, delay=fit.drives.delay, effort_limit=None, kp=fit.drives["kp"]),
         target=target,
         joint_names=robot.joint_names,
@@ -506,8 +506,8 @@ def fit_law(
 
 
 def _with_links(
-    estimate: Estimate, rollouts: list[Rollout], fit: PositionFit
-) -> tuple[Estimate, list[Rollout], Drives, Sequence[Array]]:
+    estimate: Estimate, rollouts: list[LawRollout], fit: PositionFit
+) -> tuple[Estimate, list[LawRollout], DriveNumbers, Sequence[Array]]:
     """Return what a convex step for the links finds, or all as it is."""
     found = with_links(estimate.problem, estimate.some_theta, rollouts, fit)
     return (estimate, rollouts, fit.drives, fit.starts) if found is None else found
@@ -556,18 +556,18 @@ def first_law(
     )
 
 
-def _begin(estimate: Estimate, law: PD, middle: Array) -> Drives:
+def _begin(estimate: Estimate, law: PD, middle: Array) -> DriveNumbers:
     """Return drives as the convex fit has them."""
     names = estimate.named_theta() or {}
     values = np.zeros((len(UNITS), law.n))
     for symbol, kind in (("Ia", "armature"), ("Fv", "damping"), ("Fs", "friction")):
         values[ROW[kind]] = [max(names.get(f"{symbol}{j + 1}", 0.0), 0.0) for j in range(law.n)]
     gains = {"kp": law.gains.proportional, "kd": law.gains.derivative}
-    return Drives(values=values, middle=middle, delay=0.0).with_rows(**gains)
+    return DriveNumbers(values=values, middle=middle, delay=0.0).with_rows(**gains)
 
 
 def _spread(
-    normal: JointNormal, estimate: Estimate, fit: PositionFit, choice: Choice, held: bool
+    normal: JointNormal, estimate: Estimate, fit: PositionFit, choice: ForwardChoice, held: bool
 ) -> tuple[Array, tuple[float, float]]:
     """Return the covariance of the reported numbers and the delay's interval.
 

@@ -17,9 +17,9 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_rows
-from sdpid.estimation.positions.drives import LONGEST_DELAY, Drives
+from sdpid.estimation.positions.drives import LONGEST_DELAY, DriveNumbers
 from sdpid.estimation.positions.fit import PositionFit, block_starts
-from sdpid.estimation.positions.rollout import Rollout
+from sdpid.estimation.positions.rollout import LawRollout
 from sdpid.estimation.posterior import prior_rows
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -65,7 +65,7 @@ class JointNormal:
     variance: float
 
     @classmethod
-    def of(cls, problem: Problem, rollouts: Sequence[Rollout], fit: PositionFit) -> JointNormal:
+    def of(cls, problem: Problem, rollouts: Sequence[LawRollout], fit: PositionFit) -> JointNormal:
         """Gather them at a fit."""
         base, unknowns, n = problem.base, fit.unknowns, problem.robot.n
         b = base.count
@@ -129,7 +129,7 @@ class JointNormal:
         moved = found.base - at
         return found, inverse @ (g[b:] - H[b:, :b] @ moved)
 
-    def moved(self, fit: PositionFit, step: Array) -> tuple[Drives, list[Array]]:
+    def moved(self, fit: PositionFit, step: Array) -> tuple[DriveNumbers, list[Array]]:
         """Return the drives and starts of a fit after a step of all that is no base parameter."""
         n, drives, k = self.problem.robot.n, fit.drives, 0
         for kind in fit.unknowns.rows:
@@ -192,8 +192,8 @@ def _scaled(H: Array) -> tuple[Array, Array]:
 
 
 def with_links(
-    problem: Problem, theta: Array, rollouts: Sequence[Rollout], fit: PositionFit
-) -> tuple[Estimate, list[Rollout], Drives, list[Array]] | None:
+    problem: Problem, theta: Array, rollouts: Sequence[LawRollout], fit: PositionFit
+) -> tuple[Estimate, list[LawRollout], DriveNumbers, list[Array]] | None:
     """Return better links, rollouts with them, and drives and starts to go on from, if there are.
 
     Parameters
@@ -202,7 +202,7 @@ def with_links(
         With constraints and prior.
     theta : ndarray, shape (p,)
         Where the fit has its links.
-    rollouts : sequence of Rollout
+    rollouts : sequence of LawRollout
         With these links.
     fit : PositionFit
         Their fit.

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgbtrf, dgbtrs
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid.estimation.positions.drives import Drives
+from sdpid.estimation.positions.drives import DriveNumbers
 from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
 from sdpid.experiment.simulation.law import Told
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -50,7 +49,7 @@ class Stiction(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class SolvedMotion:
     """A solved motion of K steps, and what derivatives need of it.
 
     Attributes
@@ -70,10 +69,10 @@ class Motion:
     free: Mask
     z: Array
     before: tuple[tuple[Array, Array], ...]
-    factors: tuple[Factor, ...]
+    factors: tuple[BandFactor, ...]
 
 
-class Rollout:
+class LawRollout:
     """One stretch of a log, to be followed by a robot with known links.
 
     Parameters
@@ -122,7 +121,7 @@ class Rollout:
         self._resting = links.mass_matrix(np.zeros(n))
 
     @np.errstate(over="ignore", invalid="ignore")
-    def run(self, drives: Drives, start: Array, guess: Array | None = None) -> Motion:
+    def run(self, drives: DriveNumbers, start: Array, guess: Array | None = None) -> SolvedMotion:
         """Solve the motion from a start (2, n); `guess` are positions (K + 1, n) to begin at."""
         h, n = self.step, len(drives.middle)
         q = (self._guess if guess is None else guess).copy()
@@ -176,14 +175,14 @@ class Rollout:
                 by_v = (by_velocity + by_speed[:, joints, None] * E) / h
                 later, before = by_a + E * damping[joints] / h, by_a - by_v
                 now = by_position + by_place[:, joints, None] * E - later - before
-                factors.append(Factor.of(later, now, before))
+                factors.append(BandFactor.of(later, now, before))
                 earlier.append((now[0], before[:2]))
                 move[:, joints] = factors[-1].solve(wrong[:, joints])
             q[1:] += move
             size = float(np.abs(move).max())
             if size < _SETTLED or not np.isfinite(size):
                 break
-        return Motion(
+        return SolvedMotion(
             position=q,
             converged=size < _SETTLED,
             velocity=v,
@@ -196,13 +195,13 @@ class Rollout:
             factors=tuple(factors),
         )
 
-    def positions(self, motion: Motion) -> Array:
+    def positions(self, motion: SolvedMotion) -> Array:
         """Return the motion's positions at the log's time stamps, (N, n)."""
         return self._at_stamps(motion.position)
 
-    def with_links(self, links: RobotDynamics) -> Rollout:
+    def with_links(self, links: RobotDynamics) -> LawRollout:
         """Return the same stretch for other links."""
-        return Rollout(
+        return LawRollout(
             links,
             self._time,
             self.measured,
@@ -213,8 +212,8 @@ class Rollout:
 
     def columns(
         self,
-        motion: Motion,
-        drives: Drives,
+        motion: SolvedMotion,
+        drives: DriveNumbers,
         rows: Sequence[str],
         delay: bool,
         regressor: Array | None = None,
@@ -223,9 +222,9 @@ class Rollout:
 
         Parameters
         ----------
-        motion : Motion
+        motion : SolvedMotion
             That of these drives.
-        drives : Drives
+        drives : DriveNumbers
             Where the derivatives are taken.
         rows : sequence of str
             Kinds of numbers, as `Unknowns.rows`.
@@ -330,7 +329,7 @@ Blocks = list[tuple[Indices, Array]]
 
 
 @dataclass(frozen=True, eq=False)
-class Factor:
+class BandFactor:
     """LU factor of the equations of one tree of m joints, in LAPACK's band storage."""
 
     lu: Array
@@ -339,8 +338,10 @@ class Factor:
     above: int
 
     @classmethod
-    def of(cls, later: Array, now: Array, before: Array) -> Factor:
+    def of(cls, later: Array, now: Array, before: Array) -> BandFactor:
         """Factor the blocks (K, m, m) on and below the diagonal: those of steps k, k − 1, k − 2."""
+        from scipy.linalg.lapack import dgbtrf
+
         K, m, _ = now.shape
         below, above = 3 * m - 1, m - 1
         band = np.zeros((2 * below + above + 1, K * m))
@@ -354,6 +355,8 @@ class Factor:
 
     def solve(self, values: Array) -> Array:
         """Solve for right sides (K, m, ...)."""
+        from scipy.linalg.lapack import dgbtrs
+
         flat = values.reshape(values.shape[0] * values.shape[1], -1)
         found, _ = dgbtrs(self.lu, self.below, self.above, flat, self.pivots)
         return np.asarray(found.reshape(values.shape))

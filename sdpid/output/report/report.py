@@ -16,7 +16,7 @@ import numpy as np
 from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.intervals import Intervals
-from sdpid.estimation.positions.law_fit import LawFit
+from sdpid.estimation.positions.law_fit import FittedDrives
 from sdpid.output.charts.charts import Charts
 from sdpid.output.report import joints, parameters, recording
 from sdpid.output.report.headline import headline
@@ -124,7 +124,7 @@ def report_html(
     )
 
 
-def _drives(drives: LawFit, charts: Charts) -> dict[str, Any]:
+def _drives(drives: FittedDrives, charts: Charts) -> dict[str, Any]:
     """Return drives that were fitted to positions, and charts of them over the delay."""
     joints, along = drives.joint_names, drives.along
     numbers = []

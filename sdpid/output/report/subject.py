@@ -38,7 +38,7 @@ from sdpid.assurance.recipe.recipe import Recipe
 from sdpid.errors import SdpidError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.positions.law_fit import LawFit
+from sdpid.estimation.positions.law_fit import FittedDrives
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.processing.samples import Samples
@@ -88,7 +88,7 @@ class Judged(ABC):
     inputs: tuple[dict[str, Any], ...] = ()
     recipe: Recipe | None = None
     recipe_note: str | None = None
-    drives: LawFit | None = None
+    drives: FittedDrives | None = None
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
