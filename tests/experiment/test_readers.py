@@ -398,7 +398,7 @@ STYLES += ["{key}_{joint}", "{joint}_{key}", "/arm/{joint}/{key}"]
 @pytest.mark.parametrize("style", STYLES)
 @pytest.mark.parametrize("quantity", CHANNELS)
 def test_every_usual_name_is_found_in_every_style(quantity: str, style: str):
-    tables = dict(zip(CHANNELS, (logs.Q, logs.TAU, logs.DQ, logs.Q), strict=True))
+    tables = dict(zip(CHANNELS, (logs.Q, logs.TAU, logs.DQ, logs.Q, logs.TAU), strict=True))
     for name in QUANTITIES[quantity].names:
         columns = {"t": logs.T}
         for channel, table in tables.items():

@@ -349,11 +349,11 @@ class PD(JointLaw):
     def __post_init__(self) -> None:
         limit = self.effort_limit if self.limit is None else self.limit
         named = {"kp": self.kp, "kd": self.kd, "effort_limit": limit}
-        given = {name: np.atleast_1d(x) for name, x in named.items() if x is not None}
-        count = max((each.size for each in given.values()), default=1)
-        for name, each in given.items():
-            alike = np.broadcast_to(each, count) if each.size == 1 else each
-            object.__setattr__(self, name, alike)
+        given = {name: x for name, x in named.items() if x is not None}
+        count = max((np.size(x) for x in given.values()), default=1)
+        for name, x in given.items():
+            # A number is that of every joint.
+            object.__setattr__(self, name, np.full(count, x) if np.ndim(x) == 0 else x)
         super().__post_init__()
         object.__setattr__(self, "limit", self.effort_limit)
         if self.delay is None:
