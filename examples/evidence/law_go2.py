@@ -13,7 +13,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from study import Row, Study
+from study import Study
 
 import sdpid
 
@@ -53,7 +53,7 @@ def main() -> None:
     shipped = folder / "go2.xml"
     robot = sdpid.load_robot(shipped)
 
-    def rows_of(side: str) -> Iterator[Row]:
+    def rows_of(side: str) -> Iterator[tuple]:
         begun, xml, delay, ends = time.process_time(), shipped, USUAL, (None, None)
         with tempfile.TemporaryDirectory() as place:
             if side != "as shipped":
@@ -73,7 +73,7 @@ def main() -> None:
         yield side, error, 1e3 * delay, *(x and 1e3 * x for x in ends), seconds
 
     columns = ("side", "error_mrad", "delay_ms", "from_ms", "to_ms", "seconds")
-    study.rows("go2.csv", columns, ("as shipped", "constants", "tendons"), rows_of, digits=3)
+    study.rows("go2.csv", columns, rows_of, ("as shipped", "constants", "tendons"), digits=3)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from study import Row, Study
+from study import Study
 
 import sdpid
 from sdpid.estimation.positions.drives import DriveNumbers
@@ -105,7 +105,7 @@ def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recordin
     return robot, log, drives
 
 
-def rows_of(case: tuple, data: Path) -> Iterator[Row]:
+def rows_of(case: tuple, data: Path) -> Iterator[tuple]:
     """Yield what is found of one log, beside the truth."""
     robot, log, truth = simulated(case, data)
     kp, kd = GAINS[case[0]]
@@ -156,7 +156,7 @@ def main() -> None:
         for setting in settings[: study.cases]
         for seed in range(study.seeds)
     ]
-    rows = study.rows("logs.csv", COLUMNS, cases, lambda case: rows_of(case, study.data), digits=4)
+    rows = study.rows("logs.csv", COLUMNS, lambda *case: rows_of(case, study.data), cases, digits=4)
     totals = []
     for robot in study.robots:
         own = [row for row in rows if row["robot"] == robot]
