@@ -27,7 +27,7 @@ from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.effects.kinds import Effects
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise import landings_used, with_motion_bias
-from sdpid.estimation.positions.law_fit import Target, first_law, fit_law
+from sdpid.estimation.positions.law_fit import Target, first_law, fit_law, too_heavy
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -319,6 +319,9 @@ def _under_law(
         drives = fit_law(
             result.estimate, matched, law, target=target, start=first, validation=fresh
         )
+        if law.kp is not None:
+            heavy = too_heavy(matched, law, model, drives.delay)
+            drives = replace(drives, warnings=(*drives.warnings, *heavy))
     return replace(
         result,
         drives=drives,

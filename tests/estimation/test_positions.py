@@ -11,7 +11,7 @@ import pytest
 import sdpid
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.positions.choose import CONSTANTS, Followed, choose_forward
-from sdpid.estimation.positions.drives import DriveNumbers
+from sdpid.estimation.positions.drives import UNITS, DriveNumbers
 from sdpid.estimation.positions.fit import fit_positions
 from sdpid.estimation.positions.rollout import Stiction
 from sdpid.experiment.simulation.law import Told
@@ -111,7 +111,7 @@ def test_columns_are_the_differences_of_rollouts(legs):
     _, links = legs
     time, command = commanded(2.0)
     rollout = followed(time, command, command).rollout(links)
-    start, rows = np.stack([command[0], np.zeros(N)]), tuple(drives().rows)
+    start, rows = np.stack([command[0], np.zeros(N)]), tuple(UNITS)
     at = drives(delay=0.005, slope=0.05, curve=0.1, offset=0.02)
     motion = rollout.run(at, start)
     blocks = rollout.columns(motion, at, rows, True)

@@ -11,7 +11,12 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.positions.drives import LONGEST_DELAY, DriveNumbers
-from sdpid.estimation.positions.fit import PositionFit, conditional, fit_positions
+from sdpid.estimation.positions.fit import (
+    PositionFit,
+    SolvedRollouts,
+    conditional,
+    fit_positions,
+)
 from sdpid.estimation.positions.rollout import LawRollout, Stiction
 from sdpid.experiment.simulation.law import Told
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -166,7 +171,6 @@ def choose_forward(
     errors: dict[tuple[str, ...], float] = {}
     start = drives if delay is None else replace(drives, delay=delay)
     fit = best = fit_positions(training, start, tuple(rows), delay=delay is None, fall=ROUGH)
-    size = sum(each.measured.size for each in training)
     errors[fit.unknowns.rows] = judged(judges, fit.drives)
     for k in range(1, len(RICHER) + 1):
         kinds = (*rows, *RICHER[:k])
@@ -177,7 +181,7 @@ def choose_forward(
         better = errors[kinds] < (1.0 - _WORTH) * errors[best.unknowns.rows]
         # Where encoders' noise is all that is left, a share of it says little.
         numbers = fit.unknowns.count - best.unknowns.count
-        shown = best.cost - fit.cost > _SHOWN * numbers * fit.cost / size
+        shown = best.cost - fit.cost > _SHOWN * numbers * fit.cost / fit.size
         if better or (shown and fit.correlation < WHITE):
             best = fit
     found: dict[str, Any] = {
@@ -214,10 +218,8 @@ def choose_forward(
 
 def judged(rollouts: Sequence[LawRollout], drives: DriveNumbers) -> float:
     """Return the error (rad, rms) of given drives on rollouts, after their start is forgotten."""
-    squares, count = 0.0, 0
-    for each in rollouts:
-        motion = each.run(drives, each.start())
-        missed = (each.measured - each.positions(motion))[each.after(_FORGOTTEN) :]
-        squares += float(np.sum(missed**2)) if motion.converged else np.inf
-        count += missed.size
-    return float(np.sqrt(squares / count))
+    solved = SolvedRollouts.of(rollouts, drives)
+    if not np.isfinite(solved.cost):
+        return np.inf
+    late = [e[each.after(_FORGOTTEN) :] for each, e in zip(rollouts, solved.missed, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(late) ** 2)))

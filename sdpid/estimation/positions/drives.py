@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array, Indices
 
 # Numbers of every joint, in the order of the rows of `DriveNumbers.values`, and their units.
 UNITS = {
@@ -50,11 +50,6 @@ class DriveNumbers:
 
     def __getitem__(self, name: str) -> Array:
         return np.asarray(self.values[ROW[name]])
-
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """Kinds of numbers, in the order of the rows."""
-        return tuple(UNITS)
 
     def dry(self, position: Array) -> Array:
         """Return the level (..., n) of dry friction at positions, N·m (N)."""
@@ -103,11 +98,13 @@ class Unknowns:
         drives = [f"{row}{j + 1}" for row in self.rows for j in range(self.n)]
         return (*drives, *(["delay"] if self.delay else []))
 
-    def joint(self) -> Array:
-        """Return the joint that each number belongs to, (count,); −1 for the delay."""
-        j = np.arange(self.n)
-        parts = [j] * len(self.rows) + [[-1]] * self.delay + [j] * (2 * self.motions)
-        return np.concatenate([*parts, []]).astype(np.intp)
+    def at(self, motion: int, joints: Indices) -> Indices:
+        """Return where the numbers of these joints and of a motion's start stand."""
+        n, size = self.n, len(self.names)
+        rows = n * np.arange(len(self.rows))[:, None] + joints
+        starts = size + n * (2 * motion + np.arange(2))[:, None] + joints
+        delay = [size - 1] * self.delay
+        return np.concatenate([rows.ravel(), delay, starts.ravel()]).astype(np.intp)
 
     def pack(self, drives: DriveNumbers, starts: Sequence[Array]) -> Array:
         """Return the vector of these drives and starts, (2, n) a motion."""
@@ -134,7 +131,3 @@ class Unknowns:
             k = len(self.rows) * self.n
             low[k], high[k] = 0.0, LONGEST_DELAY
         return low, high
-
-    def reported(self) -> Mask:
-        """Return which numbers are no starts, (count,)."""
-        return np.arange(self.count) < len(self.names)

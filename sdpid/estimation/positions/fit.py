@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,41 +29,101 @@ _RIDGE = 1e-9
 _BLOCKS, _LEAST_BLOCK = 10, 0.3
 
 
+@dataclass(frozen=True, eq=False)
+class SolvedRollouts:
+    """Motions of rollouts for some numbers, and what they miss of the positions."""
+
+    drives: DriveNumbers
+    motions: list[SolvedMotion]
+    missed: list[Array]
+    cost: float
+
+    @classmethod
+    def of(
+        cls,
+        rollouts: Sequence[LawRollout],
+        drives: DriveNumbers,
+        starts: Sequence[Array] | None = None,
+        near: SolvedRollouts | None = None,
+    ) -> SolvedRollouts:
+        """Solve the motions, from those of numbers nearby where there are any."""
+        if starts is None:
+            starts = [each.start() for each in rollouts]
+        guesses = [None] * len(rollouts) if near is None else [m.position for m in near.motions]
+        motions = [
+            each.run(drives, start, guess)
+            for each, start, guess in zip(rollouts, starts, guesses, strict=True)
+        ]
+        missed = [r.measured - r.positions(m) for r, m in zip(rollouts, motions, strict=True)]
+        cost = float(sum(np.sum(each**2) for each in missed))
+        solved = all(each.converged for each in motions) and np.isfinite(cost)
+        return cls(drives, motions, missed, cost if solved else np.inf)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionFit:
     """Drives fitted to positions.
 
     Attributes
     ----------
-    drives : DriveNumbers
-        The best numbers found.
+    solved : SolvedRollouts
+        The motions of the best numbers found.
     starts : tuple of ndarray, shape (2, n)
         Position and velocity at the start of every motion.
     unknowns : Unknowns
         What was free.
-    cost : float
-        Sum of squared errors of position, rad² (m²).
-    rms : float
-        Root of their mean, rad (m).
     information : ndarray, shape (k, k)
         Gauss-Newton's matrix of the cost, half of its second derivative.
     gradient : ndarray, shape (k,)
         Minus half of the derivative of the cost.
-    covariance : ndarray, shape (k, k)
-        Of the unknowns, from blocks of residuals; rows of numbers at a bound are zero.
-    correlation : float
-        Of residuals one row apart: of encoder noise alone it is 0.
+    scores : ndarray, shape (blocks, k)
+        Parts of the gradient.
+    within : ndarray of bool, shape (k,)
+        Unknowns that are at no bound.
     """
 
-    drives: DriveNumbers
+    solved: SolvedRollouts
     starts: tuple[Array, ...]
     unknowns: Unknowns
-    cost: float
-    rms: float
     information: Array
     gradient: Array
-    covariance: Array
-    correlation: float
+    scores: Array
+    within: Mask
+
+    @property
+    def drives(self) -> DriveNumbers:
+        """The best numbers found."""
+        return self.solved.drives
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared errors of position, rad² (m²)."""
+        return self.solved.cost
+
+    @property
+    def size(self) -> int:
+        """How many positions there are."""
+        return sum(each.size for each in self.solved.missed)
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared error of position, rad (m)."""
+        return float(np.sqrt(self.cost / self.size))
+
+    @property
+    def correlation(self) -> float:
+        """Correlation of residuals one row apart: of encoder noise alone it is 0."""
+        products = sum(float(np.sum(e[1:] * e[:-1])) for e in self.solved.missed)
+        return products / max(self.cost, np.finfo(float).tiny)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the unknowns, from blocks of residuals; zero for those at a bound."""
+        found, at = np.zeros_like(self.information), np.ix_(self.within, self.within)
+        spread = scaled_inverse(self.information[at]) @ self.scores[:, self.within].T
+        blocks = len(self.scores)
+        found[at] = spread @ spread.T * blocks / max(blocks - 1, 1)
+        return found
 
 
 def fit_positions(
@@ -105,16 +165,22 @@ def fit_positions(
     low, high = unknowns.bounds()
     if held:
         low[len(rows) * n] = high[len(rows) * n] = drives.delay
-    first = [each.start() for each in rollouts] if starts is None else list(starts)
+    first = [each.start() for each in rollouts] if starts is None else starts
     x = np.clip(unknowns.pack(drives, first), low, high)
-    state = _State.of(rollouts, *unknowns.unpack(x, drives), None)
+    state = SolvedRollouts.of(rollouts, *unknowns.unpack(x, drives))
     if not np.isfinite(state.cost):
         raise SolverError(
             "fit of positions: the robot does not follow its commands under this law and these "
             "links; check the gains' units (N.m/rad, N.m.s/rad) and signs, and that the commands "
             "are those of this log, in rad."
         )
-    H, g, scores = state.normal(rollouts, unknowns)
+
+    def columns(k: int) -> Columns:
+        motion, now = state.motions[k], state.drives
+        for joints, J in rollouts[k].columns(motion, now, unknowns.rows, unknowns.delay):
+            yield joints, J, unknowns.at(k, joints)
+
+    H, g, scores = normal_equations(rollouts, state, unknowns.count, columns)
     damping = _DAMPING
     for _ in range(_ROUNDS):
         step = _bounded_step(H, g, damping, low - x, high - x)
@@ -122,7 +188,7 @@ def fit_positions(
         if expected < fall * state.cost:
             break
         there = np.clip(x + step, low, high)
-        trial = _State.of(rollouts, *unknowns.unpack(there, drives), state)
+        trial = SolvedRollouts.of(rollouts, *unknowns.unpack(there, drives), state)
         if not trial.cost < state.cost:
             damping *= 10.0
             if damping > _MOST_DAMPING:
@@ -131,20 +197,15 @@ def fit_positions(
         gained = state.cost - trial.cost
         damping *= 0.1 if gained > 0.5 * expected else 0.5
         x, state = there, trial
-        H, g, scores = state.normal(rollouts, unknowns)
-    within = (x > low) & (x < high)
-    found, begins = unknowns.unpack(x, drives)
-    size = sum(each.measured.size for each in rollouts)
+        H, g, scores = normal_equations(rollouts, state, unknowns.count, columns)
     return PositionFit(
-        drives=found,
-        starts=tuple(begins),
+        solved=state,
+        starts=tuple(unknowns.unpack(x, drives)[1]),
         unknowns=unknowns,
-        cost=state.cost,
-        rms=float(np.sqrt(state.cost / size)),
         information=H,
         gradient=g,
-        covariance=_sandwich(H, scores, within),
-        correlation=_correlation(state.missed),
+        scores=scores,
+        within=(x > low) & (x < high),
     )
 
 
@@ -163,72 +224,44 @@ def conditional(fit: PositionFit, delay: float) -> tuple[DriveNumbers, float]:
     return unknowns.unpack(found, fit.drives)[0], error
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """Motions of all rollouts for some numbers, and what they miss."""
-
-    drives: DriveNumbers
-    motions: list[SolvedMotion]
-    missed: list[Array]
-    cost: float
-
-    @classmethod
-    def of(
-        cls,
-        rollouts: Sequence[LawRollout],
-        drives: DriveNumbers,
-        starts: Sequence[Array],
-        near: _State | None,
-    ) -> _State:
-        """Solve the motions, from those of a state nearby."""
-        guesses = [None] * len(rollouts) if near is None else [m.position for m in near.motions]
-        motions = [
-            each.run(drives, start, guess)
-            for each, start, guess in zip(rollouts, starts, guesses, strict=True)
-        ]
-        missed = [r.measured - r.positions(m) for r, m in zip(rollouts, motions, strict=True)]
-        cost = float(sum(np.sum(each**2) for each in missed))
-        solved = all(each.converged for each in motions) and np.isfinite(cost)
-        return cls(drives, motions, missed, cost if solved else np.inf)
-
-    def normal(
-        self, rollouts: Sequence[LawRollout], unknowns: Unknowns
-    ) -> tuple[Array, Array, Array]:
-        """Return JᵀJ, Jᵀe, and the sums of Jᵀe over blocks of rows, (blocks, count)."""
-        count, n = unknowns.count, unknowns.n
-        H, g, scores = np.zeros((count, count)), np.zeros(count), []
-        joint, size = unknowns.joint(), len(unknowns.names)
-        for k, (each, motion, e) in enumerate(
-            zip(rollouts, self.motions, self.missed, strict=True)
-        ):
-            begins = np.arange(count) >= size
-            own = ~begins
-            own[size + 2 * n * k : size + 2 * n * (k + 1)] = True
-            starts = block_starts(each)
-            score = np.zeros((len(starts), count))
-            blocks = each.columns(motion, self.drives, unknowns.rows, unknowns.delay)
-            for joints, J in blocks:
-                at = np.flatnonzero(own & (np.isin(joint, joints) | (joint < 0)))
-                flat = J.reshape(-1, J.shape[2])
-                H[np.ix_(at, at)] += flat.T @ flat
-                moved = np.einsum("tik,ti->tk", J, e[:, joints])
-                score[:, at] += np.add.reduceat(moved, starts, axis=0)
-            g += score.sum(axis=0)
-            scores.append(score)
-        return H, g, np.concatenate(scores)
+# Of one rollout: joints, derivatives of their positions, and which numbers these are by (−1: none).
+Columns = Iterable[tuple[Indices, Array, Indices]]
 
 
-def block_starts(rollout: LawRollout) -> Indices:
+def normal_equations(
+    rollouts: Sequence[LawRollout],
+    solved: SolvedRollouts,
+    count: int,
+    columns: Callable[[int], Columns],
+) -> tuple[Array, Array, Array]:
+    """Return JᵀJ, Jᵀe, and the sums of Jᵀe over blocks of rows, (blocks, count)."""
+    H, scores = np.zeros((count, count)), []
+    for k, (rollout, e) in enumerate(zip(rollouts, solved.missed, strict=True)):
+        starts = _block_starts(rollout)
+        score = np.zeros((len(starts), count))
+        for joints, every, where in columns(k):
+            J, at = every[:, :, where >= 0], where[where >= 0]
+            flat = J.reshape(-1, len(at))
+            H[np.ix_(at, at)] += flat.T @ flat
+            moved = np.einsum("tik,ti->tk", J, e[:, joints])
+            score[:, at] += np.add.reduceat(moved, starts, axis=0)
+        scores.append(score)
+    every_score = np.concatenate(scores)
+    return H, every_score.sum(axis=0), every_score
+
+
+def scaled_inverse(H: Array) -> Array:
+    """Return the inverse of normal equations; numbers that are not seen stay."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-12 * max(float(np.diag(H).max()), 1e-300)))
+    inverse = np.linalg.pinv(H * scale * scale[:, None], hermitian=True)
+    return np.asarray(inverse * scale * scale[:, None])
+
+
+def _block_starts(rollout: LawRollout) -> Indices:
     """Return the first rows of blocks that count as independent."""
     rows = len(rollout.measured)
     count = max(_BLOCKS, int(rollout.count * rollout.step / _LEAST_BLOCK))
     return np.unique(np.linspace(0, rows, min(count, rows), endpoint=False).astype(np.intp))
-
-
-def _correlation(missed: Sequence[Array]) -> float:
-    """Return the correlation of residuals one row apart."""
-    products = sum(float(np.sum(e[1:] * e[:-1])) for e in missed)
-    return products / max(sum(float(np.sum(e**2)) for e in missed), np.finfo(float).tiny)
 
 
 def _bounded_step(H: Array, g: Array, damping: float, low: Array, high: Array) -> Array:
@@ -242,16 +275,3 @@ def _bounded_step(H: Array, g: Array, damping: float, low: Array, high: Array) -
     # Solvers want room between the bounds.
     limits = (low / scale - 1e-12, high / scale + 1e-12)
     return np.asarray(scale * lsq_linear(L.T, wanted, bounds=limits).x)
-
-
-def _sandwich(H: Array, scores: Array, within: Mask) -> Array:
-    """Return the covariance of the unknowns from the scores of blocks; zero where not within."""
-    found, at = np.zeros_like(H), np.ix_(within, within)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H)[within], _UNSEEN))
-    inverse = (
-        np.linalg.pinv(H[at] * scale * scale[:, None], hermitian=True) * scale * scale[:, None]
-    )
-    spread = inverse @ scores[:, within].T
-    blocks = len(scores)
-    found[at] = spread @ spread.T * blocks / max(blocks - 1, 1)
-    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -22,10 +22,22 @@ from sdpid.estimation.positions.choose import (
     choose_forward,
     judged,
 )
-from sdpid.estimation.positions.drives import LONGEST_DELAY, ROW, UNITS, DriveNumbers
-from sdpid.estimation.positions.fit import FALL, PositionFit, conditional, fit_positions
-from sdpid.estimation.positions.links import SYMBOLS, JointNormal, links_of, with_links
-from sdpid.estimation.positions.rollout import LawRollout, Stiction
+from sdpid.estimation.positions.drives import LONGEST_DELAY, UNITS, DriveNumbers
+from sdpid.estimation.positions.fit import (
+    FALL,
+    PositionFit,
+    SolvedRollouts,
+    conditional,
+    fit_positions,
+)
+from sdpid.estimation.positions.links import (
+    JointNormal,
+    drives_with,
+    links_of,
+    theta_with,
+    with_links,
+)
+from sdpid.estimation.positions.rollout import Stiction
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
@@ -61,8 +73,9 @@ _POLISHED = 2
 _SHOWN = 11
 
 # A given delay or kp is named as wrong where a fit that leaves it open has a smaller sum of squares
-# by this share, and errors on the faster part as well.
-_WRONG = 0.1
+# by this share; kp, on which positions alone hardly depend, where the description's masses ask for
+# one that is so many times as large or small.
+_WRONG, _SCALE = 0.1, 1.3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -99,6 +112,9 @@ class FittedDrives(Shown):
         Of these numbers, the open delay counted.
     complete : bool
         Whether residuals are those of encoders, so that nothing is missing in the model.
+    remaining : float or None
+        Bound on the share of the cost that a convex step about the result could still take away;
+        None where it was not solved.
     rms, rms_reduced : float
         Errors of position (rad) on the fitted logs with rich and with reduced drives.
     rms_joints : ndarray, shape (n,)
@@ -130,6 +146,7 @@ class FittedDrives(Shown):
     names: tuple[str, ...]
     covariance: Array
     complete: bool
+    remaining: float | None
     rms: float
     rms_reduced: float
     rms_joints: Array
@@ -412,8 +429,7 @@ def fit_law(
     """
     if target not in get_args(Target):
         raise DataError(f"target: is {target!r}; use one of {', '.join(get_args(Target))}.")
-    assert estimate.theta is not None
-    robot, problem = estimate.problem.robot, estimate.problem
+    problem, stiction = estimate.problem, Stiction.mujoco()
     followed, others = (
         [
             Followed(
@@ -421,58 +437,55 @@ def fit_law(
                 position=np.array(log.position),
                 told=Told.of(log, law),
                 step=STEPS[target],
-                stiction=Stiction.mujoco(),
+                stiction=stiction,
             )
             for log in several
         ]
         for several in (logs, validation)
     )
     where = np.concatenate([each.position for each in followed])
-    drives = _begin(estimate, start or law, 0.5 * (where.min(axis=0) + where.max(axis=0)))
+    gains = (start or law).gains
+    middle, n = 0.5 * (where.min(axis=0) + where.max(axis=0)), law.n
+    drives = DriveNumbers(values=np.zeros((len(UNITS), n)), middle=middle, delay=0.0)
+    drives = drives_with(problem, estimate.some_theta, drives)
+    drives = drives.with_rows(kp=gains.proportional, kd=gains.derivative)
+    rollouts = [each.rollout(links_of(problem, estimate.some_theta)) for each in followed]
     fixed, kinds = law.delay, CONSTANTS if law.kp is not None else (*CONSTANTS, "kp")
-    # With the richest friction, so that links need not make up for what it lacks.
-    rollouts = [each.rollout(links_of(problem, estimate.theta)) for each in followed]
+
+    def fitted(numbers: DriveNumbers, rows: Sequence[str], **how: Any) -> PositionFit:
+        return fit_positions(
+            rollouts, numbers, rows, **{"delay": fixed is None, "fall": _ROUGHER} | how
+        )
+
     begun = [
-        fit_positions(rollouts, replace(drives, delay=d), kinds, delay=fixed is None, fall=_ROUGHER)
-        for d in (_STARTS if fixed is None else (fixed,))
+        fitted(replace(drives, delay=d), kinds) for d in (_STARTS if fixed is None else (fixed,))
     ]
     best, rich = min(begun, key=lambda each: each.cost), (*kinds, *RICHER)
-    fit = fit_positions(
-        rollouts, best.drives, rich, delay=fixed is None, starts=best.starts, fall=_ROUGHER
-    )
+    # With the richest friction, so that links need not make up for what it lacks.
+    fit = fitted(best.drives, rich, starts=best.starts)
     for _ in range(_MOST_STEPS):
         before = fit.rms
-        estimate, rollouts, drives, starts = _with_links(estimate, rollouts, fit)
-        fit = fit_positions(
-            rollouts, drives, rich, delay=fixed is None, starts=starts, fall=_ROUGHER
-        )
+        estimate, rollouts, drives, starts = with_links(estimate, rollouts, fit)
+        fit = fitted(drives, rich, starts=starts)
         if fit.rms > (1.0 - _FELL) * before:
             break
-    links = links_of(problem, estimate.some_theta)
     begin = fit.drives.with_rows(slope=0.0, curve=0.0)
+    links = links_of(problem, estimate.some_theta)
     choice, slow = choose_forward(followed, links, begin, rows=kinds, delay=fixed)
     complete = choice.correlation < WHITE
     held = fixed is None and not complete
     found = conditional(slow, choice.delay)[0] if held else slow.drives
-    how: dict[str, Any] = {"delay": fixed is None, "held": held}
-    fit = fit_positions(rollouts, found, choice.rows, **how, fall=ROUGH if held else FALL)
+    fit = fitted(found, choice.rows, held=held, fall=ROUGH if held else FALL)
     for _ in range(_POLISHED if complete else 0):
-        estimate, rollouts, found, starts = _with_links(estimate, rollouts, fit)
-        fit = fit_positions(rollouts, found, choice.rows, **how, starts=starts)
+        estimate, rollouts, found, starts = with_links(estimate, rollouts, fit)
+        fit = fitted(found, choice.rows, starts=starts, fall=FALL)
     normal = JointNormal.of(problem, rollouts, fit)
-    covariance, interval = _spread(normal, estimate, fit, choice, held)
+    covariance, interval = _delay_interval(normal, estimate, choice, held)
     reduced = fit.drives.with_rows(
         friction=fit.drives.dry(where).mean(axis=0), slope=0.0, curve=0.0
     )
-    own, missed = (
-        np.concatenate(
-            [
-                each.measured - each.positions(each.run(numbers, start))
-                for each, start in zip(rollouts, fit.starts, strict=True)
-            ]
-        )
-        for numbers in (fit.drives, reduced)
-    )
+    own = np.concatenate(fit.solved.missed)
+    constant = SolvedRollouts.of(rollouts, reduced, fit.starts).missed
     speed = np.sqrt(
         np.mean(np.concatenate([np.gradient(x.position, x.time, axis=0) for x in followed]) ** 2, 0)
     )
@@ -480,7 +493,7 @@ def fit_law(
     return FittedDrives(
         law=replace(law, delay=fit.drives.delay, effort_limit=None, kp=fit.drives["kp"]),
         target=target,
-        joint_names=robot.joint_names,
+        joint_names=problem.robot.joint_names,
         rich=fit.drives,
         reduced=reduced,
         choice=choice,
@@ -490,27 +503,17 @@ def fit_law(
         names=fit.unknowns.names,
         covariance=covariance,
         complete=complete,
+        remaining=normal.remaining(theta_with(problem, estimate.some_theta, fit.drives), held=held),
         rms=fit.rms,
-        rms_reduced=float(np.sqrt(np.mean(missed**2))),
+        rms_reduced=float(np.sqrt(np.mean(np.concatenate(constant) ** 2))),
         rms_joints=np.sqrt(np.mean(own**2, axis=0)),
         speed=speed,
         along=_along(fit, fixed, where),
         convex=estimate,
-        notes=(
-            *dict.fromkeys(each.told.note for each in followed),
-            f"drives are the best of {len(begun)} starts of a local search",
-        ),
-        warnings=() if fixed is None else tuple(_named_delay(rollouts, fit)),
+        notes=tuple(dict.fromkeys(each.told.note for each in followed)),
+        warnings=tuple(_contradictions(fitted, fit, law, problem.robot.joint_names)),
         validated=judged(fresh, fit.drives) if fresh else None,
     )
-
-
-def _with_links(
-    estimate: Estimate, rollouts: list[LawRollout], fit: PositionFit
-) -> tuple[Estimate, list[LawRollout], DriveNumbers, Sequence[Array]]:
-    """Return what a convex step for the links finds, or all as it is."""
-    found = with_links(estimate.problem, estimate.some_theta, rollouts, fit)
-    return (estimate, rollouts, fit.drives, fit.starts) if found is None else found
 
 
 def first_law(
@@ -556,43 +559,24 @@ def first_law(
     )
 
 
-def _begin(estimate: Estimate, law: PD, middle: Array) -> DriveNumbers:
-    """Return drives as the convex fit has them."""
-    names = estimate.named_theta() or {}
-    values = np.zeros((len(UNITS), law.n))
-    for symbol, kind in (("Ia", "armature"), ("Fv", "damping"), ("Fs", "friction")):
-        values[ROW[kind]] = [max(names.get(f"{symbol}{j + 1}", 0.0), 0.0) for j in range(law.n)]
-    gains = {"kp": law.gains.proportional, "kd": law.gains.derivative}
-    return DriveNumbers(values=values, middle=middle, delay=0.0).with_rows(**gains)
-
-
-def _spread(
-    normal: JointNormal, estimate: Estimate, fit: PositionFit, choice: ForwardChoice, held: bool
+def _delay_interval(
+    normal: JointNormal, estimate: Estimate, choice: ForwardChoice, held: bool
 ) -> tuple[Array, tuple[float, float]]:
     """Return the covariance of the reported numbers and the delay's interval.
 
     Errors of links count, as data and prior leave them. Where the model is not complete, the
     delay's errors are what stays open, and move all others.
     """
-    problem, drives = normal.problem, fit.drives
-    p, links = problem.n_theta, 10 * problem.robot.n_links
-    closed, places = np.zeros(p, dtype=bool), {}
-    for k, parameter in enumerate(problem.friction.parameters):
-        kind = SYMBOLS[parameter.name.rstrip("0123456789")]
-        places[f"{kind}{parameter.joint + 1}"] = links + k
-        closed[links + k] = drives[kind][parameter.joint] <= 0.0
-    whole, moves = normal.covariance(estimate, closed, held)
-    places |= {name: p + k for k, name in enumerate(normal.names)}
-    at = [places[name] for name in fit.unknowns.names]
-    covariance, delay = whole[np.ix_(at, at)], drives.delay
-    if not fit.unknowns.delay:
+    covariance, moves = normal.covariance(estimate, held)
+    delay = normal.fit.drives.delay
+    if not normal.unknowns.delay:
         return covariance, (delay, delay)
     if not held:
         half = _NORMAL * float(np.sqrt(covariance[-1, -1]))
         return covariance, (max(delay - half, 0.0), min(delay + half, LONGEST_DELAY))
     ends = min(choice.open[0], choice.fitted), max(choice.open[1], choice.fitted)
     spread = max(ends[1] - delay, delay - ends[0]) / _NORMAL
-    return covariance + spread**2 * np.outer(moves[at], moves[at]), ends
+    return covariance + spread**2 * np.outer(moves, moves), ends
 
 
 def _along(fit: PositionFit, fixed: float | None, where: Array) -> dict[str, Array]:
@@ -604,18 +588,52 @@ def _along(fit: PositionFit, fixed: float | None, where: Array) -> dict[str, Arr
     return {"delay": delays, "error": np.array([e for _, e in best]), **found, **ends}
 
 
-def _named_delay(rollouts: Any, fit: PositionFit) -> Iterator[str]:
-    """Yield a warning where the data contradict the delay that was given."""
-    try:
-        free = fit_positions(rollouts, fit.drives, fit.unknowns.rows, delay=True, starts=fit.starts)
-    except SolverError:
-        return
-    k = len(free.unknowns.names) - 1
-    deviation = float(np.sqrt(free.covariance[k, k]))
-    off = free.drives.delay - fit.drives.delay
-    if free.cost < (1.0 - _WRONG) * fit.cost and abs(off) > _NORMAL * deviation:
+def _contradictions(
+    fitted: Callable[..., PositionFit], fit: PositionFit, law: PD, joint_names: Sequence[str]
+) -> Iterator[str]:
+    """Yield a warning where the data contradict the delay or the kp that was given."""
+    given, rows = fit.drives, fit.unknowns.rows
+    trials: dict[str, dict[str, Any]] = {}
+    if law.delay is not None:
+        trials["delay"] = {"rows": rows, "delay": True}
+    if law.kp is not None:
+        trials["kp"] = {"rows": (*rows, "kp")}
+    for what, how in trials.items():
+        try:
+            free = fitted(given, starts=fit.starts, fall=FALL, **how)
+        except SolverError:
+            continue
+        names, deviations = free.unknowns.names, np.sqrt(np.diag(free.covariance))
+        there = free.unknowns.pack(free.drives, ())
+        off = np.abs(there - free.unknowns.pack(given, ()))
+        # Of joints the one whose number is off by the largest share; the delay is one number.
+        at = [k for k, name in enumerate(names) if name.rstrip("0123456789") == what]
+        k = max(at, key=lambda k: off[k] / max(there[k], 1e-12))
+        if free.cost > (1.0 - _WRONG) * fit.cost or off[k] <= _NORMAL * deviations[k]:
+            continue
+        if what == "delay":
+            told, better = f"{1e3 * given.delay:.3g} ms", f"{1e3 * free.drives.delay:.3g} ms"
+        else:
+            j = at.index(k)
+            told = f"{given['kp'][j]:.3g} at {joint_names[j]}"
+            better = f"about {free.drives['kp'][j]:.3g}"
         yield (
-            f"the delay given, {1e3 * fit.drives.delay:.3g} ms, does not suit the log: "
-            f"{1e3 * free.drives.delay:.3g} ms leaves {1e3 * free.rms:.3g} in place of "
-            f"{1e3 * fit.rms:.3g} mrad rms; leave --delay out to have it found"
+            f"the {what} given, {told}, does not suit the log: {better} leaves "
+            f"{1e3 * free.rms:.3g} in place of {1e3 * fit.rms:.3g} mrad rms; leave --{what} out to "
+            "have it found"
+        )
+
+
+def too_heavy(logs: Sequence[Recording], law: PD, robot: RobotModel, delay: float) -> Iterator[str]:
+    """Yield a warning where described masses ask for a kp that is far from the one given."""
+    try:
+        found = first_law(logs, replace(law, kp=None), robot, delay)[0].gains.proportional
+    except DataError:
+        return
+    times = float(np.median(law.gains.proportional / found))
+    if not 1.0 / _SCALE < times < _SCALE:
+        yield (
+            f"the kp given is {times:.2g} times what the described masses ask for (median of the "
+            f"joints: {float(np.median(found)):.3g}), and links, friction and armature go with it; "
+            "check kp, or the description"
         )

@@ -4,7 +4,7 @@ Positions of rollouts change with the base parameters of links and drives, with 
 friction over position and with where each motion starts. About a fit these changes are linear, so
 that the sum of squares is a quadratic in all of them; what is no base parameter is eliminated. With
 the prior and the constraints of the torque problem that is a semidefinite program again, whose
-optimum is consistent.
+optimum is consistent. Its dual bounds what any such step could still gain.
 """
 
 from __future__ import annotations
@@ -14,16 +14,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.arrays import Array, frozen
+from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_rows
-from sdpid.estimation.positions.drives import LONGEST_DELAY, DriveNumbers
-from sdpid.estimation.positions.fit import PositionFit, block_starts
+from sdpid.estimation.positions.drives import ROW, DriveNumbers, Unknowns
+from sdpid.estimation.positions.fit import (
+    Columns,
+    PositionFit,
+    SolvedRollouts,
+    normal_equations,
+    scaled_inverse,
+)
 from sdpid.estimation.positions.rollout import LawRollout
 from sdpid.estimation.posterior import prior_rows
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import TermParameter
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Kinds of drives by the symbols of the problem's friction terms.
@@ -41,6 +49,27 @@ def links_of(problem: Problem, theta: Array) -> RobotDynamics:
     )
 
 
+def symbol_of(parameter: TermParameter) -> str:
+    """Return the symbol of a parameter of friction, without the joint's number."""
+    return parameter.name.rstrip("0123456789")
+
+
+def drives_with(problem: Problem, theta: Array, drives: DriveNumbers) -> DriveNumbers:
+    """Return drives with the friction of parameters, none of it negative."""
+    values = drives.values.copy()
+    for k, each in enumerate(problem.friction.parameters, 10 * problem.robot.n_links):
+        values[ROW[SYMBOLS[symbol_of(each)]], each.joint] = max(theta[k], 0.0)
+    return replace(drives, values=values)
+
+
+def theta_with(problem: Problem, theta: Array, drives: DriveNumbers) -> Array:
+    """Return parameters with the friction of drives."""
+    found = np.array(theta)
+    for k, each in enumerate(problem.friction.parameters, 10 * problem.robot.n_links):
+        found[k] = drives[SYMBOLS[symbol_of(each)]][each.joint]
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class JointNormal:
     """Normal equations of base parameters and of all else about a fit.
@@ -49,8 +78,10 @@ class JointNormal:
     ----------
     problem : Problem
         Whose base parameters come first.
-    names : tuple of str
-        Of what comes behind them: kinds with the joint's number, and ``delay``; starts have none.
+    fit : PositionFit
+        The fit.
+    unknowns : Unknowns
+        What comes behind them.
     H, g, scores : ndarray
         JᵀJ, Jᵀe and sums of Jᵀe over blocks of rows.
     variance : float
@@ -58,7 +89,8 @@ class JointNormal:
     """
 
     problem: Problem
-    names: tuple[str, ...]
+    fit: PositionFit
+    unknowns: Unknowns
     H: Array
     g: Array
     scores: Array
@@ -67,176 +99,151 @@ class JointNormal:
     @classmethod
     def of(cls, problem: Problem, rollouts: Sequence[LawRollout], fit: PositionFit) -> JointNormal:
         """Gather them at a fit."""
-        base, unknowns, n = problem.base, fit.unknowns, problem.robot.n
-        b = base.count
-        place = {int(k): i for i, k in enumerate(base.kept)}
-        more = [kind for kind in unknowns.rows if kind not in SYMBOLS.values()]
-        names = [f"{kind}{j + 1}" for kind in more for j in range(n)]
-        names += ["delay"] * unknowns.delay
-        size = b + len(names) + 2 * n * len(rollouts)
-        H, g, scores = np.zeros((size, size)), np.zeros(size), []
+        base, drives = problem.base, fit.drives
+        more = tuple(kind for kind in fit.unknowns.rows if kind not in SYMBOLS.values())
+        unknowns = replace(fit.unknowns, rows=more)
+        # Where parameters stand among the base parameters; −1 for those that are none.
+        place = np.full(problem.n_theta, -1)
+        place[base.kept] = np.arange(base.count)
         own = {name: k for k, name in enumerate(base.theta_names)}
-        for r, (rollout, start) in enumerate(zip(rollouts, fit.starts, strict=True)):
-            motion = rollout.run(fit.drives, start)
-            e = rollout.measured - rollout.positions(motion)
-            starts = block_starts(rollout)
-            score = np.zeros((len(starts), size))
+        kinds = (*SYMBOLS.values(), *more)
+
+        def columns(k: int) -> Columns:
+            motion = fit.solved.motions[k]
             Y = problem.robot.regressor(
                 motion.position[:-1], motion.velocity[:-1], motion.acceleration
             )
-            kinds = (*SYMBOLS.values(), *more)
-            blocks = rollout.columns(motion, fit.drives, kinds, unknowns.delay, Y)
-            for joints, J in blocks:
-                m = len(joints)
-                # Where the columns of the tree go; −1 for those that are no base parameters.
-                links = np.concatenate([np.arange(10 * j, 10 * j + 10) for j in joints])
-                at = [place.get(int(own[f"{s}{j + 1}"]), -1) for s in SYMBOLS for j in joints]
-                at += [b + k * n + j for k in range(len(more)) for j in joints]
-                at += [b + len(names) - 1] * unknowns.delay
-                first = b + len(names) + 2 * n * r
-                at += [first + s * n + j for s in range(2) for j in joints]
-                at += [place.get(int(k), -1) for k in links]
-                index = np.array(at)
-                used = np.flatnonzero(index >= 0)
-                flat, index = J[:, :, used].reshape(-1, len(used)), index[used]
-                H[np.ix_(index, index)] += flat.T @ flat
-                moved = np.einsum("tik,ti->tk", J[:, :, used], e[:, joints])
-                score[:, index] += np.add.reduceat(moved, starts, axis=0)
-                assert len(links) == 10 * m
-            g += score.sum(axis=0)
-            scores.append(score)
-        every = np.concatenate(scores)
-        white = fit.cost / sum(each.measured.size for each in rollouts)
-        seen = np.diag(H) > 1e-12 * np.diag(H).max()
-        spread = np.sum((every - every.mean(axis=0)) ** 2, axis=0)[seen] / np.diag(H)[seen]
-        variance = max(float(np.median(spread)), white)
-        return cls(problem, tuple(names), H, g, every, variance)
+            for joints, J in rollouts[k].columns(motion, drives, kinds, unknowns.delay, Y):
+                friction = [place[own[f"{s}{j + 1}"]] for s in SYMBOLS for j in joints]
+                links = place[(10 * joints[:, None] + np.arange(10)).ravel()]
+                others = base.count + unknowns.at(k, joints)
+                yield joints, J, np.concatenate([friction, others, links])
 
-    def step(self, theta: Array) -> tuple[Estimate, Array]:
-        """Return the optimum of the convex program about theta, and how all else moves with it."""
-        b = self.problem.base.count
-        H, g = self.H, self.g
-        others = np.linalg.pinv(_scaled(H[b:, b:])[0], hermitian=True)
-        scale = _scaled(H[b:, b:])[1]
-        inverse = others * scale * scale[:, None]
-        S = H[:b, :b] - H[:b, b:] @ inverse @ H[b:, :b]
-        pull = g[:b] - H[:b, b:] @ inverse @ g[b:]
+        size = base.count + unknowns.count
+        H, g, scores = normal_equations(rollouts, fit.solved, size, columns)
+        seen = np.diag(H) > 1e-12 * np.diag(H).max()
+        spread = np.sum((scores - scores.mean(axis=0)) ** 2, axis=0)[seen] / np.diag(H)[seen]
+        variance = max(float(np.median(spread)), fit.cost / fit.size)
+        return cls(problem, fit, unknowns, H, g, scores, variance)
+
+    def step(self, theta: Array, *, held: bool = False) -> tuple[Estimate, Array]:
+        """Return the optimum of the convex program about theta, and how all else moves with it.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (p,)
+            Parameters of the fit.
+        held : bool, optional
+            Whether the delay stays.
+        """
+        b, free = self.problem.base.count, np.ones(self.unknowns.count, dtype=bool)
+        if held:
+            free[len(self.unknowns.names) - 1] = False
+        rest = b + np.flatnonzero(free)
+        inverse, cross = scaled_inverse(self.H[np.ix_(rest, rest)]), self.H[:b, rest]
+        S = self.H[:b, :b] - cross @ inverse @ cross.T
+        pull = self.g[:b] - cross @ inverse @ self.g[rest]
         A = information_rows(S / self.variance)
         at = self.problem.base_of(theta)
         rhs = A @ at + np.linalg.pinv(A).T @ pull / self.variance
         program = replace(self.problem, A=frozen(A), rhs=frozen(rhs), floor=0.0)
-        found = solve_sdp(program)
-        moved = found.base - at
-        return found, inverse @ (g[b:] - H[b:, :b] @ moved)
+        found, others = solve_sdp(program), np.zeros(len(free))
+        others[free] = inverse @ (self.g[rest] - cross.T @ (found.base - at))
+        return found, others
 
-    def moved(self, fit: PositionFit, step: Array) -> tuple[DriveNumbers, list[Array]]:
-        """Return the drives and starts of a fit after a step of all that is no base parameter."""
-        n, drives, k = self.problem.robot.n, fit.drives, 0
-        for kind in fit.unknowns.rows:
-            if kind not in SYMBOLS.values():
-                drives = drives.with_rows(**{kind: drives[kind] + step[k : k + n]})
-                k += n
-        if fit.unknowns.delay:
-            delay = float(np.clip(drives.delay + step[k], 0.0, LONGEST_DELAY))
-            drives, k = replace(drives, delay=delay), k + 1
-        starts = [
-            each + step[k + 2 * n * r : k + 2 * n * (r + 1)].reshape(2, n)
-            for r, each in enumerate(fit.starts)
-        ]
-        return drives, starts
+    def cost(self, theta: Array, squares: float) -> float:
+        """Return a sum of squared errors in units of the variance, and what the prior adds."""
+        prior = self.problem.prior
+        return squares / self.variance + (
+            0.0 if prior is None else sum(each.value(theta) for each in prior.terms)
+        )
 
-    def covariance(self, estimate: Estimate, closed: Mask, held: bool) -> tuple[Array, Array]:
-        """Return the covariance of theta and all else, and how these move with the delay.
+    def remaining(self, theta: Array, *, held: bool) -> float | None:
+        """Return a bound on the share of the cost that any convex step could still take away.
+
+        No links that satisfy the constraints, with any friction, delay and starts beside them,
+        lower the quadratic about the fit by more: the dual of its semidefinite program says so.
+        None where that was not solved.
+        """
+        found, _ = self.step(theta, held=held)
+        if found.theta is None:
+            return None
+        bound = lower_bound(found.problem, np.array(found.theta), found.proof, found.cost)
+        gained = found.problem.cost_of(theta) - bound.value
+        return max(gained / self.cost(theta, self.fit.cost), 0.0)
+
+    def covariance(self, estimate: Estimate, held: bool) -> tuple[Array, Array]:
+        """Return the covariance of the fit's numbers, and how they move with the delay.
 
         Parameters
         ----------
         estimate : Estimate
             Where the prior is taken.
-        closed : ndarray of bool, shape (p,)
-            Parameters that are at a bound, and stay.
         held : bool
             Whether the delay stays too.
         """
-        p, b = self.problem.n_theta, self.problem.base.count
-        size, q = p + len(self.H) - b, len(self.names)
+        problem, names = self.problem, list(self.unknowns.names)
+        p, b = problem.n_theta, problem.base.count
+        size = p + self.unknowns.count
         T = np.zeros((len(self.H), size))
-        T[:b, :p], T[b:, p:] = self.problem.base.matrix, np.eye(len(self.H) - b)
+        T[:b, :p], T[b:, p:] = problem.base.matrix, np.eye(self.unknowns.count)
         R = np.zeros((0, size))
         if (prior := prior_rows(estimate)).size:
             R = np.hstack([prior, np.zeros((len(prior), size - p))])
-        free = np.append(~closed, np.ones(size - p, dtype=bool))
-        delay = p + q - 1
+        # What is at a bound stays.
+        friction, links = problem.friction.parameters, 10 * problem.robot.n_links
+        free = np.ones(size, dtype=bool)
+        free[links:p] = theta_with(problem, estimate.some_theta, self.fit.drives)[links:] > 0.0
+        delay = p + len(names) - 1
         if held:
             free[delay] = False
         M = T.T @ self.H @ T / self.variance + R.T @ R
-        scaled, scale = _scaled(M[np.ix_(free, free)])
         inverse = np.zeros((size, size))
-        inverse[np.ix_(free, free)] = (
-            np.linalg.pinv(scaled, hermitian=True) * scale * scale[:, None]
-        )
+        inverse[np.ix_(free, free)] = scaled_inverse(M[np.ix_(free, free)])
         # Blocks of the residuals' scores, and the prior's rows with a variance of one.
         blocks = len(self.scores)
         centered = self.scores - self.scores.mean(axis=0)
         shown = (centered.T @ centered) * blocks / max(blocks - 1, 1) / self.variance**2
         found = inverse @ (T.T @ shown @ T + R.T @ R) @ inverse
-        moves = -inverse @ M[:, delay] if held else np.zeros(size)
+        moves = np.zeros(size)
         if held:
+            moves = -inverse @ M[:, delay]
             moves[delay] = 1.0
-        return found[: p + q, : p + q], moves[: p + q]
-
-
-def _scaled(H: Array) -> tuple[Array, Array]:
-    """Return a matrix with a diagonal of ones, and what it was scaled by."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-12 * max(float(np.diag(H).max()), 1e-300)))
-    return H * scale * scale[:, None], scale
+        kinds = [f"{SYMBOLS[symbol_of(each)]}{each.joint + 1}" for each in friction]
+        places = {name: k for k, name in enumerate([*kinds, *names], links)}
+        at = [places[name] for name in self.fit.unknowns.names]
+        return found[np.ix_(at, at)], moves[at]
 
 
 def with_links(
-    problem: Problem, theta: Array, rollouts: Sequence[LawRollout], fit: PositionFit
-) -> tuple[Estimate, list[LawRollout], DriveNumbers, list[Array]] | None:
-    """Return better links, rollouts with them, and drives and starts to go on from, if there are.
+    estimate: Estimate, rollouts: list[LawRollout], fit: PositionFit
+) -> tuple[Estimate, list[LawRollout], DriveNumbers, Sequence[Array]]:
+    """Return better links, rollouts with them, and drives and starts to go on from.
+
+    Where a convex step finds none, all is returned as it is.
 
     Parameters
     ----------
-    problem : Problem
-        With constraints and prior.
-    theta : ndarray, shape (p,)
-        Where the fit has its links.
-    rollouts : sequence of LawRollout
+    estimate : Estimate
+        The links, their constraints and prior.
+    rollouts : list of LawRollout
         With these links.
     fit : PositionFit
         Their fit.
     """
-    links = 10 * problem.robot.n_links
-    here = np.array(theta)
-    for k, parameter in enumerate(problem.friction.parameters):
-        kind = SYMBOLS[parameter.name.rstrip("0123456789")]
-        here[links + k] = fit.drives[kind][parameter.joint]
+    problem = estimate.problem
+    here = theta_with(problem, estimate.some_theta, fit.drives)
     normal = JointNormal.of(problem, rollouts, fit)
     found, others = normal.step(here)
-    if found.theta is None or found.status != "optimal":
-        return None
-    before = fit.cost / normal.variance + _belief(problem, here)
-    for share in _SHARES:
+    x, (low, high) = normal.unknowns.pack(fit.drives, fit.starts), normal.unknowns.bounds()
+    for share in _SHARES if found.theta is not None and found.status == "optimal" else ():
         there = here + share * (found.theta - here)
         own = [each.with_links(links_of(problem, there)) for each in rollouts]
-        drives, starts = normal.moved(fit, share * others)
-        for k, parameter in enumerate(problem.friction.parameters):
-            kind = SYMBOLS[parameter.name.rstrip("0123456789")]
-            row = drives[kind].copy()
-            row[parameter.joint] = max(there[links + k], 0.0)
-            drives = drives.with_rows(**{kind: row})
-        cost = 0.0
-        for each, start in zip(own, starts, strict=True):
-            motion = each.run(drives, start)
-            missed = each.measured - each.positions(motion)
-            cost += float(np.sum(missed**2)) if motion.converged else np.inf
-        if cost / normal.variance + _belief(problem, there) < before:
-            found = Estimate.of_theta(problem, there, method="positions", status="given")
-            return found, own, drives, starts
-    return None
-
-
-def _belief(problem: Problem, theta: Array) -> float:
-    """Return what a prior says of parameters."""
-    return 0.0 if problem.prior is None else sum(t.value(theta) for t in problem.prior.terms)
+        moved = np.clip(x + share * others, low, high)
+        drives, starts = normal.unknowns.unpack(moved, fit.drives)
+        drives = drives_with(problem, there, drives)
+        squares = SolvedRollouts.of(own, drives, starts).cost
+        if normal.cost(there, squares) < normal.cost(here, fit.cost):
+            better = Estimate.of_theta(problem, there, method="positions", status="given")
+            return better, own, drives, starts
+    return estimate, rollouts, fit.drives, fit.starts

@@ -195,6 +195,7 @@ class LawRollout:
             factors=tuple(factors),
         )
 
+    @np.errstate(over="ignore", invalid="ignore")
     def positions(self, motion: SolvedMotion) -> Array:
         """Return the motion's positions at the log's time stamps, (N, n)."""
         return self._at_stamps(motion.position)
