@@ -326,6 +326,24 @@ def intervals() -> Any:
     return axes
 
 
+def law() -> Any:
+    """Draw what a log of commands and positions leaves open of a delay."""
+    hung = RECORDS / "go2_hung"
+    pd = sdpid.controllers.PD(kp=20.0, kd=1.5)
+    drives = sdpid.identify(hung / "go2.xml", hung / "first_60_percent.npz", law=pd).drives
+    assert drives is not None
+    delay, armature = 1e3 * drives.along["delay"], drives.along["armature"]
+    left, right = panels(1, 2).flat
+    left.plot(delay, 1e3 * drives.along["error"], color=BLUE)
+    right.plot(delay, armature, color=GRAY, linewidth=0.7)
+    right.plot(delay, armature.mean(axis=1), color=BLUE, linewidth=2.5, label="mean of the joints")
+    right.legend(frameon=False, fontsize=8)
+    for axis, label in ((left, "error [mrad rms]"), (right, "armature [kg·m²]")):
+        axis.axvspan(*(1e3 * x for x in drives.delay_interval), color=BLUE, alpha=0.12)
+        axis.set(xlabel="delay [ms]", ylabel=label, ylim=(0.0, None))
+    return left
+
+
 def legged() -> Any:
     """Draw feet and height of a trot."""
     log = sdpid.simulate_legged("solo12", "trot", duration=2.0).recording
@@ -502,7 +520,7 @@ PICTURES: dict[str, Callable[[], Any]] = {
     each.__name__: each
     for each in (
         *(audit, certificate, closed_loop, constraints, effects, estimation, excitation, exports),
-        *(fleet, friction, gains, inspection, intervals, legged, lines, logs, loops, model),
+        *(fleet, friction, gains, inspection, intervals, law, legged, lines, logs, loops, model),
         *(payload, processing, recursive, rollout, sampling),
     )
 }
