@@ -175,8 +175,9 @@ def identify(
         (see `rollout`), which takes some seconds.
     law : sdpid.controllers.PD, optional
         The law that turned commanded positions into efforts, of a log in which no effort was
-        measured: its delay is found where it is None, its kp too (see docs/guides/law.md). Links
-        come from the convex fit, drives from positions of rollouts (`Identification.drives`).
+        measured: its delay is found where it is None, its kp too (see docs/guides/law.md). The
+        convex fit to its efforts, which the certificate is of, is the start of a local search for
+        drives and links in the positions of rollouts (`Identification.drives`).
     target : {"mujoco", "isaac", "urdf"}, optional
         Where the model will be used: the drives are reduced at the end to what that can hold. By
         default ``"mujoco"`` with a law.

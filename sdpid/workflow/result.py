@@ -150,9 +150,7 @@ def save(
             certificate.to_json(stage / "certificate.json")
             used = estimate if result.drives is None else result.drives.estimate(rich=tendons)
             exports.extend(_robots(result, used, stage, note, offsets, tendons))
-            _friction(
-                result, estimate if result.drives is None else result.drives.estimate(), stage, note
-            )
+            _friction(result, stage, note)
             if figures:
                 _figures(result, stage)
             _report(result, stage, note, command, exports)
@@ -212,6 +210,7 @@ def _robots(
         missing = str(reason) if known else f"MuJoCo failed: {type(reason).__name__}: {reason}"
     if (fresh := result.validation_samples) is not None:
         exports = [export.with_validation(fresh) for export in exports]
+    exports = [replace(each, _of_law=result.drives is not None) for each in exports]
     for statement in _statements(exports):
         note(statement)
     if missing is not None:
@@ -219,14 +218,16 @@ def _robots(
     return exports
 
 
-def _friction(
-    result: Judged, estimate: Estimate, folder: Path, note: Callable[[str], None]
-) -> None:
+def _friction(result: Judged, folder: Path, note: Callable[[str], None]) -> None:
     """Write friction as code, which has room for every term of ours."""
+    drives = result.drives
+    estimate = result.estimate if drives is None else drives.estimate()
+    # Under a law it is of other numbers.
+    certificate = result.certificate if drives is None else None
     left_out: dict[str, None] = {}
     for name in FRICTION_FILES if estimate.problem.friction.terms else ():
         try:
-            said = write_friction(estimate, folder / name, certificate=result.certificate)
+            said = write_friction(estimate, folder / name, certificate=certificate)
         except ExportError as reason:
             # A full disk, that is; else it is a term that no file can hold.
             if isinstance(reason.__cause__, OSError):
@@ -335,8 +336,9 @@ class Identification(Judged, Shown):
     recipe_note : str or None
         Why there is no recipe.
     drives : FittedDrives or None
-        Drives fitted to positions under a known law, where that was given: the best of several
-        starts, while `estimate` is the convex fit that the certificate is of.
+        Drives and links fitted to positions under a known law, where that was given: the best of
+        several starts, not proven. `estimate`, `intervals` and `certificate` are of the convex fit
+        to the law's efforts, which is their start.
 
     Examples
     --------
@@ -402,7 +404,7 @@ class Identification(Judged, Shown):
     def model(self) -> RobotDynamics:
         """Return the identified robot, to compute with; see `Estimate.model`.
 
-        Under a law that has the drives that were fitted to positions.
+        Under a law that has the links and drives that were fitted to positions.
         """
         return (self.estimate if self.drives is None else self.drives.estimate()).model()
 
@@ -453,7 +455,12 @@ class Identification(Judged, Shown):
         notes = self.notes if self.intervals_note is None else (*self.notes, self.intervals_note)
         of_law = {}
         if self.drives is not None:
-            of_law = {"delay_s": self.drives.delay, "law": self.drives.to_dict()}
+            of_law = {
+                "delay_s": self.drives.delay,
+                "certified_is": "the convex fit to the law's efforts (parameters.json), not the "
+                "links and drives that were fitted to positions",
+                "law": self.drives.to_dict(),
+            }
         content = {
             **of_law,
             "problem": describe(self.problem),
@@ -486,9 +493,10 @@ class Identification(Judged, Shown):
 
     def summary(self) -> str:
         """Return the result in words."""
+        fit = "" if self.drives is None else "convex fit to the law's efforts, the start: "
         lines = [
             f"{self.problem.robot.name}: {self.problem.base.count} base parameters from "
-            f"{self.problem.n_rows} rows; {self.certificate.summary()}",
+            f"{self.problem.n_rows} rows; {fit}{self.certificate.summary()}",
             f"relative residual in motion {100 * self.training.told.relative:.2f} % "
             "(unconstrained "
             f"{100 * self.training_wls.told.relative:.2f} %)",

@@ -97,14 +97,52 @@ def test_files_play_what_was_fitted(legs, result, tmp_path, tendons):
     assert ("tendons" in " ".join(notes)) == tendons
 
 
-def test_a_wrong_delay_is_named(legs):
-    path, log = legs
-    found = sdpid.identify(path, log, law=PD(kp=KP, kd=KD, delay=0.0)).drives
-    assert not found.delay_found
-    assert "the delay given, 0 ms, does not suit the log" in found.warnings[0]
-    right = sdpid.identify(path, log, law=PD(kp=KP, kd=KD, delay=0.005)).drives
-    assert right.warnings == ()
-    assert right.delay_in_words == "5 ms as given"
+def test_words_tell_the_proven_start_from_what_is_written(legs, result, tmp_path):
+    drives = result.drives
+    # Noise of encoders is all that is left: no convex step could gain anything.
+    assert 0.0 <= drives.remaining < 1e-4
+    assert drives.proof.startswith("not proven: the best of 2 starts")
+    assert "linearized cost by more than" in drives.proof
+    told = str(result.headline)
+    assert "the start, a convex fit to the law's efforts (parameters.json)" in told
+    assert drives.proof in told
+    sentences = " ".join(result.verdict)
+    assert "whose parameters stand in parameters.json, is proven" in sentences
+    assert f"identified.urdf, and the drives, are {drives.proof}" in sentences
+    assert "no possible parameters fit better" not in sentences
+    notes = []
+    result.save(tmp_path / "o", report=notes.append)
+    assert "recorded efforts" not in " ".join(notes)
+    stated = json.loads((tmp_path / "o" / "result.json").read_text())
+    assert stated["certified_is"].startswith("the convex fit to the law's efforts")
+    assert stated["law"]["proof"] == drives.proof
+    assert "not of the links and drives" in (tmp_path / "o" / "report.html").read_text()
+    # No certificate is of the numbers in the code of friction.
+    assert "CERTIFICATE = None" in (tmp_path / "o" / "identified_friction.py").read_text()
+    assert "the start: feasible" in result.summary()
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (PD(kp=KP, kd=KD, delay=0.005), ()),
+        (PD(kp=KP, kd=KD, delay=0.0), ("the delay given, 0 ms, does not suit the log: ",)),
+        (PD(kp=1.5 * KP, kd=KD), ("the kp given is 1.7 times what the described masses ask for",)),
+        (PD(kp=0.7 * KP, kd=KD), ("the kp given, 14 at rknee, does not suit the log: ",)),
+    ],
+    ids=["right", "delay", "kp too large", "kp too small"],
+)
+def test_a_wrong_law_is_named(legs, law, words):
+    result = sdpid.identify(*legs, law=law)
+    found = result.drives
+    assert len(found.warnings) == len(words)
+    for warning, start in zip(found.warnings, words, strict=True):
+        assert warning.startswith(start)
+        assert any(warning in each for each in result.headline.warnings)
+    if law.delay is not None:
+        assert not found.delay_found
+        assert found.delay_in_words == f"{1e3 * law.delay:.3g} ms as given"
+        assert found.proof.startswith("not proven: found by a local search from one start")
 
 
 def test_kp_is_found_as_masses_tell(legs):
@@ -113,27 +151,83 @@ def test_kp_is_found_as_masses_tell(legs):
     np.testing.assert_allclose(found.drives.rich["kp"], KP, rtol=0.2)
 
 
-def test_command(legs, tmp_path):
+@pytest.fixture(scope="module")
+def files(legs, tmp_path_factory):
+    """Options of the command: the log and the robot."""
     path, log = legs
-    log.to_parquet(tmp_path / "run.parquet")
-    (tmp_path / "law.toml").write_text(f"kp = {KP}\nkd = [{KD}, {KD}, {KD}, {KD}]\n")
-    law = ["--law", str(tmp_path / "law.toml"), "--delay", "0.005", "--for", "mujoco"]
-    files = [str(tmp_path / "run.parquet"), "--robot", str(path), "--out", str(tmp_path / "o")]
-    done = run("identify", *files, *law)
+    folder = tmp_path_factory.mktemp("command")
+    log.to_parquet(folder / "run.parquet")
+    return [str(folder / "run.parquet"), "--robot", str(path)]
+
+
+BY_JOINT = """delay = 0.005
+[kp]
+lhip = 20.0
+lknee = 20.0
+rhip = 20.0
+rknee = 20.0
+[kd]
+lhip = 1.0
+lknee = 1.0
+rhip = 1.0
+rknee = 1.0
+"""
+CONFIG = """[identify]
+law = "pd"
+kp = "20,20,20,20"
+kd = "1"
+delay = 0.005
+for = "isaac"
+"""
+SERVOS = "".join(
+    f'<general joint="{joint}" gainprm="20" biastype="affine" biasprm="0 -20 -1"/>'
+    for joint in ("lhip", "lknee", "rhip", "rknee")
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "options"),
+    [
+        ("law.toml", BY_JOINT, ["--law", "{file}", "--for", "mujoco"]),
+        ("run.toml", CONFIG, ["--config", "{file}"]),
+        ("servos.xml", None, ["--law", "{file}", "--delay", "0.005"]),
+    ],
+)
+def test_command(legs, files, tmp_path, name, text, options):
+    if text is None:
+        text = legs[0].read_text().replace("</mujoco>", f"<actuator>{SERVOS}</actuator></mujoco>")
+    (tmp_path / name).write_text(text)
+    law = [each.format(file=tmp_path / name) for each in options]
+    done = run("identify", *files, "--out", str(tmp_path / "o"), *law)
     assert done.exit_code == 0, done.output
     assert "5 ms as given" in done.stdout
     assert "mrad rms of rollouts" in done.stdout
-    assert json.loads((tmp_path / "o" / "result.json").read_text())["delay_s"] == 0.005
+    told = json.loads((tmp_path / "o" / "result.json").read_text())
+    assert told["delay_s"] == 0.005
+    assert told["law"]["kp"] == [KP] * N
+    assert told["law"]["kd"] == [KD] * N
+    assert told["law"]["target"] == ("isaac" if name == "run.toml" else "mujoco")
     assert 'id="drives"' in (tmp_path / "o" / "report.html").read_text()
-    for options, message in (
-        ([], "no effort was measured; give the law"),
-        (["--kp", "20"], "--kp: is of a law; give --law pd"),
-        (["--law", "pd", "--kp", "20"], "kd is missing"),
-        (["--law", "nowhere.toml"], "is no file, and no law but pd is known"),
-    ):
-        done = run("identify", *files, *options)
-        assert done.exit_code == 2
-        assert message in " ".join(done.output.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("", [], "no effort was measured; give the law"),
+        ("", ["--kp", "20"], "--kp: is of a law; give --law pd"),
+        ("", ["--law", "pd", "--kp", "20"], "kd is missing"),
+        ("", ["--law", "nowhere.toml"], "is no file, and no law but pd is known"),
+        ("kp = 20\nki = 3\n", ["--law", "{file}"], "ki is unknown; there are kp, kd, delay"),
+        ("[kp]\nlhip = 20\n", ["--law", "{file}"], "kp has not the joints of"),
+        ("kd = [1, 1, 1]\n", ["--law", "{file}"], "gains of 3 joints, the robot has 4"),
+    ],
+)
+def test_refusals_of_the_command(files, tmp_path, text, options, message):
+    (tmp_path / "law.toml").write_text(text)
+    law = [each.format(file=tmp_path / "law.toml") for each in options]
+    done = run("identify", *files, "--out", str(tmp_path / "o"), *law)
+    assert done.exit_code == 2
+    assert message in " ".join(done.output.split())
 
 
 @pytest.mark.parametrize(
@@ -145,19 +239,22 @@ def test_command(legs, tmp_path):
         ({"law": LAW, "target": "moon"}, "use one of mujoco, isaac, urdf"),
         ({"target": "mujoco"}, "under a known law; give law="),
         ({}, "no effort was measured"),
+        ({"law": LAW, "changes": {"effort": "position", "reference": None}}, "no commanded"),
+        ({"changes": {"reference": None}}, "needs time, position and effort, or commanded"),
     ],
 )
 def test_refusals(legs, how, message):
-    with pytest.raises(DataError, match=message):
-        sdpid.identify(*legs, **how)
-
-
-def test_logs_without_commands_are_refused(legs):
     path, log = legs
-    effort = sdpid.Recording(time=log.time, position=log.position, effort=log.position)
-    with pytest.raises(DataError, match="has no commanded positions"):
-        sdpid.identify(path, effort, law=LAW)
-    with pytest.raises(DataError, match="needs time, position and effort, or commanded"):
-        sdpid.Recording(time=log.time, position=log.position)
-    with pytest.raises(DataError, match=r"delay is 2\.0; give seconds from 0 to 0\.1"):
-        PD(kp=1.0, kd=1.0, delay=2.0)
+    fields = {name: getattr(log, name) for name in ("time", "position", "reference")}
+    how = dict(how)
+    changes = how.pop("changes", {})
+    for name, value in changes.items():
+        fields[name] = None if value is None else fields[value]
+    with pytest.raises(DataError, match=message):
+        sdpid.identify(path, sdpid.Recording(**fields), **how)
+
+
+@pytest.mark.parametrize("delay", [2.0, -0.001])
+def test_a_delay_that_no_drive_has_is_refused(delay):
+    with pytest.raises(DataError, match=r"delay is .*; give seconds from 0 to 0\.1"):
+        PD(kp=1.0, kd=1.0, delay=delay)

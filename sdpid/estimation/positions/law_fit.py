@@ -82,9 +82,9 @@ _WRONG, _SCALE = 0.1, 1.3
 class FittedDrives(Shown):
     """Drives of a robot, fitted to positions of rollouts under a known law.
 
-    The convex fit to the law's efforts gives links and a start, and its optimum is proven. From it
-    on these numbers and the links, which stay consistent, are the best of several starts of a
-    Gauss-Newton search: no proof, but what rollouts and intervals show.
+    The convex fit to the law's efforts gives a start, and its optimum is proven. From there on
+    these numbers and the links of `convex`, which stay consistent, are moved to fit positions: the
+    best of several starts of a Gauss-Newton search, not proven (`proof` has that in words).
 
     Attributes
     ----------
@@ -125,7 +125,8 @@ class FittedDrives(Shown):
         Over ``delay`` (D,): ``error`` (D,) on the part that was judged, ``armature`` and
         ``damping`` (D, n) of the fits at that delay.
     convex : Estimate
-        The links, as positions show them, with all constraints and the prior.
+        The links that are written, as positions show them, with all constraints and the prior: the
+        last of several convex steps. No certificate is of them.
     validated : float or None
         Error of position (rad) on other logs, with rich drives; None without any.
     notes : tuple of str
@@ -220,6 +221,19 @@ class FittedDrives(Shown):
         if self.validated is not None:
             told.append(f"other logs {1e3 * self.validated:.3g}")
         return f"{' | '.join(told)} mrad rms of rollouts"
+
+    @property
+    def proof(self) -> str:
+        """What stands for the links and drives, which no proof covers, in words."""
+        told = f"not proven: the best of {len(self.starts)} starts of a local search"
+        if len(self.starts) == 1:
+            told = "not proven: found by a local search from one start"
+        if self.remaining is None:
+            return told
+        return (
+            f"{told}, about which no possible links lower the linearized cost by more than "
+            f"{100.0 * self.remaining:.1g} % (a bound by duality)"
+        )
 
     @property
     def worst(self) -> str:
@@ -387,6 +401,8 @@ class FittedDrives(Shown):
                 "starts": self.starts,
                 "complete": self.complete,
                 "along": self.along,
+                "remaining": self.remaining,
+                "proof": self.proof,
                 "given_up": self.given_up,
                 "notes": self.notes,
                 "warnings": self.warnings,
@@ -403,7 +419,7 @@ def fit_law(
     start: PD | None = None,
     validation: Sequence[Recording] = (),
 ) -> FittedDrives:
-    """Fit drives to positions under a law, with the links of an estimate held.
+    """Fit drives and links to positions under a law, from an estimate on.
 
     Parameters
     ----------

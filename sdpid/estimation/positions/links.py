@@ -236,8 +236,8 @@ def with_links(
     normal = JointNormal.of(problem, rollouts, fit)
     found, others = normal.step(here)
     x, (low, high) = normal.unknowns.pack(fit.drives, fit.starts), normal.unknowns.bounds()
-    for share in _SHARES if found.theta is not None and found.status == "optimal" else ():
-        there = here + share * (found.theta - here)
+    for share in _SHARES if found.status == "optimal" else ():
+        there = here + share * (found.some_theta - here)
         own = [each.with_links(links_of(problem, there)) for each in rollouts]
         moved = np.clip(x + share * others, low, high)
         drives, starts = normal.unknowns.unpack(moved, fit.drives)

@@ -122,10 +122,10 @@ def headline(result: Judged) -> Headline:
             worst=drives.worst,
             step=drives.step,
             baseline=None,
-            title=f"{of.robot.name}: {of.robot.n} joints, drives fitted to positions under a law",
+            title=f"{of.robot.name}: {of.robot.n} joints, links and drives fitted to positions",
             warnings=tuple(each.warning for each in findings(result) if each.warning),
-            proven=f"of the links, by the law's efforts: {_proven(of)}; drives are the best of "
-            f"{len(drives.starts)} starts",
+            proven="the start, a convex fit to the law's efforts (parameters.json): "
+            f"{_proven(of)}; links and drives that were fitted to positions: {drives.proof}",
             log=tuple(_log(result)),
             delay=drives.delay_in_words,
             given_up=drives.given_up,

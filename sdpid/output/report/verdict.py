@@ -439,7 +439,8 @@ def beliefs(of: VerdictSubject) -> Iterator[VerdictFinding]:
     yield from named("unlike", pairs)
     if of.problem.consistency != "none":
         certificate = of.result.certificate
-        yield found("proven" if certificate.passed else "unproven", why=certificate.summary())
+        proven = "proven" if of.result.drives is None else "proven_start"
+        yield found(proven if certificate.passed else "unproven", why=certificate.summary())
 
 
 # The most important first.
@@ -467,6 +468,7 @@ def positions(of: VerdictSubject) -> Iterator[VerdictFinding]:
             "error": drives.summary,
             "delay": drives.delay_in_words,
             "lost": drives.given_up,
+            "proof": drives.proof,
         }
         yield found("positions", target=drives.target, **words)
         for each in drives.warnings:

@@ -117,6 +117,8 @@ class ExportReport(Shown):
     triangle_violations: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     _errors: FileErrors | None = field(default=None, repr=False)
+    # Whether efforts are a law's, and none was measured.
+    _of_law: bool = field(default=False, repr=False)
 
     _facts = ("path.name", "kind", "links_changed", "left_out")
 
@@ -134,7 +136,7 @@ class ExportReport(Shown):
         if self.joints_changed:
             lines[0] += f" and the friction of {len(self.joints_changed)} joints"
         for rows, errors in (
-            ("recorded efforts", self.training),
+            ("law's efforts" if self._of_law else "recorded efforts", self.training),
             ("efforts of the validation recording", self.validation),
         ):
             if errors is not None and errors.differ:

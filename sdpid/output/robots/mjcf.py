@@ -73,11 +73,6 @@ def write_mjcf(
     ----------
     estimate : Estimate
         Parameters to write; it must have `theta`.
-    tendons : bool, optional
-        Write friction over position (`PositionFriction`) as tendons with dry friction, into a new
-        MJCF; else dry friction is constant.
-    steep : bool, optional
-        Whether dry friction is made steep, or is MuJoCo's by default, as fits of positions have it.
     target : str or path
         File to write, whole or not at all; it may be the source. Meshes that the source names
         relative to itself are not copied.
@@ -87,6 +82,11 @@ def write_mjcf(
     offsets : bool, optional
         Write offsets as actuators with a constant force, behind those of the source. They are
         left out otherwise: mostly they are zero errors of sensors.
+    tendons : bool, optional
+        Write friction over position (`PositionFriction`) as tendons with dry friction, into a new
+        MJCF; else dry friction is constant.
+    steep : bool, optional
+        Whether dry friction is made steep, or is MuJoCo's by default, as fits of positions have it.
 
     Returns
     -------
