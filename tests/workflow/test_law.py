@@ -172,8 +172,7 @@ lknee = 1.0
 rhip = 1.0
 rknee = 1.0
 """
-CONFIG = """[identify]
-law = "pd"
+CONFIG = """law = "pd"
 kp = "20,20,20,20"
 kd = "1"
 delay = 0.005

@@ -607,13 +607,17 @@ def _along(fit: PositionFit, fixed: float | None, where: Array) -> dict[str, Arr
 def _contradictions(
     fitted: Callable[..., PositionFit], fit: PositionFit, law: PD, joint_names: Sequence[str]
 ) -> Iterator[str]:
-    """Yield a warning where the data contradict the delay or the kp that was given."""
+    """Yield a warning where the data contradict the delay or the kp that was given.
+
+    One can make up for the other: the one is named that explains more.
+    """
     given, rows = fit.drives, fit.unknowns.rows
     trials: dict[str, dict[str, Any]] = {}
     if law.delay is not None:
         trials["delay"] = {"rows": rows, "delay": True}
     if law.kp is not None:
         trials["kp"] = {"rows": (*rows, "kp")}
+    told: list[tuple[float, str]] = []
     for what, how in trials.items():
         try:
             free = fitted(given, starts=fit.starts, fall=FALL, **how)
@@ -628,16 +632,18 @@ def _contradictions(
         if free.cost > (1.0 - _WRONG) * fit.cost or off[k] <= _NORMAL * deviations[k]:
             continue
         if what == "delay":
-            told, better = f"{1e3 * given.delay:.3g} ms", f"{1e3 * free.drives.delay:.3g} ms"
+            stated, better = f"{1e3 * given.delay:.3g} ms", f"{1e3 * free.drives.delay:.3g} ms"
         else:
             j = at.index(k)
-            told = f"{given['kp'][j]:.3g} at {joint_names[j]}"
+            stated = f"{given['kp'][j]:.3g} at {joint_names[j]}"
             better = f"about {free.drives['kp'][j]:.3g}"
-        yield (
-            f"the {what} given, {told}, does not suit the log: {better} leaves "
+        words = (
+            f"the {what} given, {stated}, does not suit the log: {better} leaves "
             f"{1e3 * free.rms:.3g} in place of {1e3 * fit.rms:.3g} mrad rms; leave --{what} out to "
             "have it found"
         )
+        told.append((free.cost, words))
+    yield from (words for _, words in sorted(told)[:1])
 
 
 def too_heavy(logs: Sequence[Recording], law: PD, robot: RobotModel, delay: float) -> Iterator[str]:
