@@ -185,24 +185,21 @@ class FittedDrives(Shown):
             found["delay"] = (self.delay, *self.delay_interval)
         return found
 
-    def sharp(self) -> dict[str, tuple[float, float, float]]:
+    def sharp(self) -> dict[str, tuple[float, ...]]:
         """Return per joint friction + (damping + kp·delay)·speed, its deviation, and damping's.
 
         In N·m (N): what the log shows best, at the joint's usual speed.
         """
-        n, found = len(self.joint_names), {}
-        index = {kind: k * n for k, kind in enumerate(self.kinds)}
-        for j, joint in enumerate(self.joint_names):
-            row = np.zeros(len(self.names))
-            row[index["friction"] + j] = 1.0
-            row[index["damping"] + j] = self.speed[j]
-            if self.delay_found:
-                row[-1] = self.rich["kp"][j] * self.speed[j]
-            own = float(row @ self.values)
-            alone = index["damping"] + j
-            parts = float(np.sqrt(self.covariance[alone, alone])) * self.speed[j]
-            found[joint] = (own, float(np.sqrt(row @ self.covariance @ row)), parts)
-        return found
+        n, count = len(self.joint_names), len(self.names)
+        damping, friction = (n * self.kinds.index(x) + np.arange(n) for x in CONSTANTS[1:])
+        rows = np.zeros((n, count))
+        rows[np.arange(n), friction], rows[np.arange(n), damping] = 1.0, self.speed
+        if self.delay_found:
+            rows[:, -1] = self.rich["kp"] * self.speed
+        own = np.sqrt(np.einsum("ij,jk,ik->i", rows, self.covariance, rows))
+        alone = np.sqrt(np.diag(self.covariance))[damping] * self.speed
+        told = np.stack([rows @ self.values, own, alone], axis=1)
+        return {x: tuple(each) for x, each in zip(self.joint_names, told.tolist(), strict=True)}
 
     def sharp_table(self) -> Table:
         """Return `sharp` as a table, a row a joint."""
@@ -363,49 +360,48 @@ class FittedDrives(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        tables = {"rich": self.rich, "reduced": self.reduced}
-        found = {
-            name: {
-                joint: {kind: float(drives[kind][j]) for kind in UNITS}
-                for j, joint in enumerate(self.joint_names)
-            }
-            for name, drives in tables.items()
-        }
+        names = (
+            "target",
+            "kinds",
+            "rms",
+            "rms_reduced",
+            "starts",
+            "complete",
+            "remaining",
+            "proof",
+        )
+        more = ("along", "given_up", "notes", "warnings", "delay_found")
+        ends, parts = ("value", "low", "high"), ("value", "deviation", "deviation_of_damping")
         return plain_dict(
             {
+                **{name: getattr(self, name) for name in (*names, *more)},
                 "delay_s": self.delay,
                 "delay_interval_s": self.delay_interval,
-                "delay_found": self.delay_found,
                 "delay_fitted_s": self.choice.fitted,
                 "kp": self.rich["kp"],
                 "kd": self.rich["kd"],
-                "limit": None if self.law.limit is None else self.law.limit,
-                "target": self.target,
+                "limit": self.law.limit,
                 "units": UNITS,
                 "middle": self.rich.middle,
-                "drives": found,
+                "drives": {
+                    name: {
+                        joint: dict(zip(UNITS, column, strict=True))
+                        for joint, column in zip(self.joint_names, each.values.T, strict=True)
+                    }
+                    for name, each in (("rich", self.rich), ("reduced", self.reduced))
+                },
                 "intervals": {
-                    name: dict(zip(("value", "low", "high"), each, strict=True))
+                    name: dict(zip(ends, each, strict=True))
                     for name, each in self.intervals().items()
                 },
                 "covariance": {"names": self.names, "values": self.covariance},
                 "sharp": {
-                    joint: {"value": value, "deviation": own, "deviation_of_damping": parts}
-                    for joint, (value, own, parts) in self.sharp().items()
+                    joint: dict(zip(parts, each, strict=True))
+                    for joint, each in self.sharp().items()
                 },
-                "rms": self.rms,
                 "rms_joints": dict(zip(self.joint_names, self.rms_joints, strict=True)),
                 "rms_validation": self.validated,
-                "rms_reduced": self.rms_reduced,
                 "judged": {"+".join(k): x for k, x in self.choice.errors.items()},
-                "starts": self.starts,
-                "complete": self.complete,
-                "along": self.along,
-                "remaining": self.remaining,
-                "proof": self.proof,
-                "given_up": self.given_up,
-                "notes": self.notes,
-                "warnings": self.warnings,
             }
         )
 

@@ -149,6 +149,8 @@ def law_of(kind: str, robot: RobotModel, given: Mapping[str, Any]) -> PD:
     if unknown := stated.keys() - {"kp", "kd", "delay", "limit"}:
         raise DataError(f"{kind}: {min(unknown)} is unknown; there are kp, kd, delay and limit.")
     found = {name: _by_joint(kind, name, x, robot) for name, x in stated.items()} | dict(given)
+    # One number is that of every joint, beside lists of the others too.
+    found = {name: np.ravel(x)[0].item() if np.size(x) == 1 else x for name, x in found.items()}
     if "kd" not in found:
         raise DataError("law: kd is missing; give --kd, in N.m.s/rad (0 where there is none).")
     return PD(**{"kp": None, **found})
