@@ -35,6 +35,7 @@ from tests.helpers.damage import damaged
 from tests.helpers.logs import DQ, TAU, Q, T, close, numbered, write_csv, write_npz
 from tests.helpers.refusals import refuses
 from tests.helpers.studies import study
+from tests.helpers.torch_files import Stored, write_torch
 
 N = len(T)
 NAMES = numbered("q{}", "tau{}")
@@ -98,6 +99,11 @@ def bag(kind: str, **how: Any) -> Writer:
 def feather(folder: Path) -> Path:
     FRAME.assign(t=T).to_feather(folder / "log.feather")
     return folder / "log.feather"
+
+
+def pt(folder: Path) -> Path:
+    arrays = {name: Stored(array, "DoubleStorage") for name, array in {**ARRAYS, "dq": DQ}.items()}
+    return write_torch(folder / "log.pt", {**arrays, "joint_names": list(AB)})
 
 
 def packed_npz(folder: Path, **changes: Any) -> Path:
@@ -179,6 +185,7 @@ LOGS: dict[str, tuple[Writer, bool, Any]] = {
     "feather": (feather, False, None),
     "parquet": (parquet(), False, None),
     "own parquet": (own_parquet, True, AB),
+    "pt": (pt, True, AB),
     "db3": (bag("db3"), True, JOINTS),
     "mcap": (bag("mcap"), True, JOINTS),
     "ros1": (bag("ros1"), True, JOINTS),

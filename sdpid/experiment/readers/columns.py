@@ -22,6 +22,7 @@ from sdpid.experiment.readers.names import (
     SINGLE,
     UNITS,
     Quantity,
+    of_message,
     split_unit,
 )
 from sdpid.experiment.recording.stored import StoredArray, check_memory
@@ -159,6 +160,7 @@ class Columns:
         self._joints: tuple[set[str], int] | None = None
         split = {name: split_unit(name) for name in self._arrays}
         self._plain = {name: part for name, (part, _) in split.items()}
+        self._of_message = {name: of_message(plain) for name, plain in self._plain.items()}
         self._units = {name: unit for name, (_, unit) in split.items() if unit is not None}
         self._units |= table.units
         self.used: dict[str, Sequence[str]] = {}
@@ -438,7 +440,9 @@ class Columns:
         once = quantity == "reference" or quantity in FLOATING
         taken = {name for names in self.used.values() for name in names if once}
         for name, text in self._plain.items():
-            match = compiled.fullmatch(text) or compiled.fullmatch(text.rpartition("/")[2])
+            plain = None if quantity in self.given else self._of_message[name]
+            texts = (text, text.rpartition("/")[2]) if plain is None else (plain,)
+            match = next(filter(None, (compiled.fullmatch(each) for each in texts)), None)
             if match and name not in taken and self._units.get(name) in (None, *known):
                 yield match, name
 

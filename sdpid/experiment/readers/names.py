@@ -20,6 +20,7 @@ _ANGLES = {"rad": 1.0, "deg": _DEGREE, "turn": 2.0 * np.pi, "m": 1.0, "mm": 1e-3
 _TURNING = {"rad/s": 1.0, "deg/s": _DEGREE}
 _XYZ = ("x", "y", "z")
 _POSITIONS = ["q", "position", "positions", "pos", "joint_position", "joint_positions", "angle"]
+_POSITIONS += ["dof_pos"]
 # Words of positions that are commanded, and not what the robot did.
 _COMMANDS = [
     "reference",
@@ -74,7 +75,7 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "position": _q(
         "position q positions pos joint_position joint_positions actual_q actual_position "
-        "measured_position position_measured q_measured angle",
+        "measured_position position_measured q_measured angle dof_pos",
         _ANGLES,
         **_IN_ANGLES,
     ),
@@ -86,7 +87,7 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "velocity": _q(
         "velocity dq qd velocities vel qdot joint_velocity joint_velocities actual_qd "
-        "actual_velocity measured_velocity velocity_measured dq_measured qd_measured speed",
+        "actual_velocity measured_velocity velocity_measured dq_measured qd_measured speed dof_vel",
         {**_TURNING, "rpm": 2.0 * np.pi / 60.0, "m/s": 1.0, "mm/s": 1e-3},
         **{"deg_s": "deg/s", "rad_s": "rad/s", "degs": "deg/s", "rads": "rad/s", "rpm": "rpm"},
     ),
@@ -149,7 +150,38 @@ _SPELLINGS |= {"sec": "s", "seconds": "s", "µs": "us", "μs": "us", "msec": "ms
 _SPELLINGS |= {"°": "deg", "degree": "deg", "degrees": "deg", "radians": "rad", "rev": "turn"}
 _SPELLINGS |= {"°/s": "deg/s", "deg/sec": "deg/s", "rad/sec": "rad/s", "1/min": "rpm"}
 _SPELLINGS |= {"n*m": "N.m", "n m": "N.m", "mn*m": "mN.m", "amp": "A", "ampere": "A"}
+# Columns of messages of robots, named by where a number stands in its message: of motors that have
+# numbers, and of the points of a controller of trajectories.
+_OF_MESSAGE = re.compile(
+    r"(?:.*[/.])?(?:(?P<motor>motor_state|motor_cmd)[\[/._]*(?P<of>\d+)[\]/._]+(?P<part>\w+)"
+    r"|(?P<point>reference|desired|feedback|actual|error|output)[/.]"
+    r"(?P<field>positions|velocities|accelerations|effort)[\[/._]*(?P<at>\d+)\]?)"
+)
+_MESSAGES = {
+    ("motor_state", "q"): "position",
+    ("motor_state", "dq"): "velocity",
+    ("motor_state", "tau_est"): "effort",
+    ("motor_cmd", "q"): "reference",
+    ("motor_cmd", "tau"): "feedforward",
+    **{(point, "positions"): "position" for point in ("feedback", "actual")},
+    **{(point, "velocities"): "velocity" for point in ("feedback", "actual")},
+    **{(point, "effort"): "effort" for point in ("feedback", "actual", "output")},
+    **{(point, "positions"): "reference" for point in ("reference", "desired")},
+}
 _BRACKETED = re.compile(r"(.*?)\s*[\[({]\s*([^\[\](){}]+?)\s*[\])}]\s*")
+
+
+def of_message(name: str) -> str | None:
+    """Return the plain name of a number in a message, "" of one that is no quantity.
+
+    None where a name is of no such message.
+    """
+    match = _OF_MESSAGE.fullmatch(name)
+    if match is None:
+        return None
+    where = match["motor"] or match["point"], match["part"] or match["field"]
+    quantity = _MESSAGES.get(where)
+    return "" if quantity is None else f"{quantity}_{match['of'] or match['at']}"
 
 
 def unit_of(text: str) -> str | None:

@@ -53,9 +53,10 @@ def read_recording(path: Readable, **how: Any) -> Recording: ...
 def read_recording(path: Any, **how: Any) -> Any:
     """Read a log, or several that were logged in the same way.
 
-    Formats: CSV (also ``.csv.gz``), Parquet, Feather, NPZ, MATLAB (``.mat``), HDF5, ROS bags with
-    ``sensor_msgs/JointState`` (``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2 bag),
-    folders of text matrices, and data frames of pandas or polars. Nothing is ever unpickled or run.
+    Formats: CSV (also ``.csv.gz``), Parquet, Feather, NPZ, MATLAB (``.mat``), HDF5, PyTorch's
+    tensors (``.pt``), ROS bags with messages that have joints in them (``.db3``, ``.mcap``,
+    ``.bag``, or the folder of a ROS 2 bag), folders of text matrices, and data frames of pandas or
+    polars. Nothing is ever unpickled or run.
 
     Quantities are found by their usual names (``t``, ``q``, ``dq``, ``tau``, ``position_1``,
     ``actual_q``, ``time_ms``, ...). Other names come from the arguments or from a mapping, a TOML

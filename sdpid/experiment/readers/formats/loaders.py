@@ -21,6 +21,7 @@ from sdpid.experiment.readers.formats.hdf5 import load_hdf5, load_mat
 from sdpid.experiment.readers.formats.parquet_file import load_parquet
 from sdpid.experiment.readers.formats.ros_bag import load_rosbag
 from sdpid.experiment.readers.formats.text_file import load_matrices, load_text
+from sdpid.experiment.readers.formats.torch_file import load_torch
 from sdpid.experiment.recording.stored import check_claim
 
 # What reading a damaged archive can raise; a broken header may also ask for too much memory.
@@ -135,6 +136,7 @@ FORMATS = (
     Format(load_text, (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt", ".txt.gz"), moves=True),
     Format(load_parquet, (".parquet",), choices=("stored",), moves=True),
     Format(load_npz, (".npz",), moves=True),
+    Format(load_torch, (".pt",)),
     Format(load_feather, (".feather",), sandboxed=True),
     Format(load_mat, (".mat",), sandboxed=True),
     Format(load_hdf5, (".h5", ".hdf5"), sandboxed=True),

@@ -1,4 +1,4 @@
-"""ROS bags: `sensor_msgs/JointState` from db3 and MCAP files of ROS 2, and bags of ROS 1.
+"""ROS bags: messages with joints from db3 and MCAP files of ROS 2, and bags of ROS 1.
 
 Read in the sandbox only: compressed pieces may unpack to more than memory holds.
 """
@@ -19,10 +19,15 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.readers.columns import LogTable
+from sdpid.experiment.readers.formats.robot_messages import (
+    COMMANDS,
+    QUANTITIES,
+    STATES,
+    Joints,
+    commands_of_motors,
+    register,
+)
 
-_STATES = "sensor_msgs/msg/JointState"
-_USUAL_TOPIC = "/joint_states"
-_QUANTITIES = ("position", "velocity", "effort")
 # Messages of a base, the argument that names their topic, and where the parts of quantities are.
 _OF_BASE = {
     "nav_msgs/msg/Odometry": (
@@ -52,16 +57,17 @@ def load_rosbag(
     joint_names: Sequence[str] | None = None,
     topics: Mapping[str, str] | None = None,
 ) -> LogTable:
-    """Read the joint states of a bag, and the odometry and the IMU of a base.
+    """Read the joints' states of a bag, and the odometry and the IMU of a base.
 
     Parameters
     ----------
     path : Path
         A file ``.db3``, ``.mcap`` or ``.bag``, or the folder of a ROS 2 bag.
     topic : str, optional
-        By default the only topic with joint states, or ``/joint_states``.
+        By default the only topic, or the usual one, of the first of `STATES` that is there.
     joint_names : sequence of str, optional
-        Joints to take where several sources publish to one topic.
+        Joints to take where several sources publish to one topic; of motors that have numbers
+        the names of the first ones.
     topics : mapping, optional
         Topics of ``base`` (``nav_msgs/Odometry``) and ``imu`` (``sensor_msgs/Imu``); by default
         the only one, and none of an IMU without odometry.
@@ -71,7 +77,8 @@ def load_rosbag(
     LogTable
         ``time`` (from the messages' own stamps where they have any, else when they were
         recorded), ``bag_time`` (when they were recorded), both in s from the first message,
-        ``joint_names``, ``position``, and ``velocity`` and ``effort`` where they are filled;
+        ``joint_names``, ``position``, and ``velocity``, ``effort`` and ``reference`` where they
+        are filled; of motors with commands also ``feedforward``, from the first command on;
         ``base_position`` and so on, ``gyroscope`` and ``accelerometer`` at the same stamps, NaN
         where nothing is known.
 
@@ -86,7 +93,7 @@ def load_rosbag(
     highlevel = require("rosbags.highlevel", extra="ros")
     typesys = require("rosbags.typesys", extra="ros")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    joints = _Joints(joint_names)
+    register(typesys, store)
     with highlevel.AnyReader([path], default_typestore=store) as reader:
         taken: dict[str, tuple[str, _Stream]] = {}
         for kind, (name, quantities) in _OF_BASE.items():
@@ -96,19 +103,31 @@ def load_rosbag(
                 break
             parts = [f"{where}.{part}" for where, parts in quantities.values() for part in parts]
             taken[of_base] = kind, _Stream(attrgetter(*parts))
-        of_joints = _topic(reader, _STATES, topic, "topic=", _USUAL_TOPIC)
-        states = _Stream(joints.row)
-        taken[of_joints or ""] = _STATES, states
+        kind = _kind_of_states(reader, topic)
+        values_of, usual = STATES[kind]
+        joints = _Joints(values_of, joint_names)
+        states, commands = _Stream(joints.row), _Stream(commands_of_motors)
+        taken[_topic(reader, kind, topic, "topic=", usual) or ""] = kind, states
+        if told := _topic(reader, COMMANDS.get(kind, ""), None, "one LowCmd topic a bag"):
+            taken[told] = COMMANDS[kind], commands
         connections = [c for c in reader.connections if taken.get(c.topic, "")[:1] == (c.msgtype,)]
         for connection, recorded, raw in reader.messages(connections=connections):
             message = reader.deserialize(raw, connection.msgtype)
             taken[connection.topic][1].add(recorded, message)
     arrays = joints.arrays(states)
-    streams = [(kind, stream) for kind, stream in taken.values() if kind != _STATES]
+    if commands.recorded:
+        arrays = _from_first(arrays, commands, states, joints.order)
+    streams = [(kind, stream) for kind, stream in taken.values() if kind in _OF_BASE]
     for kind, stream in streams:
         arrays |= _at_states(_OF_BASE[kind][1], stream, states) if stream.recorded else {}
     said = {"base": {"quaternion": "xyzw", "velocity_frame": "base"}} if streams else {}
     return LogTable({name: partial(np.asarray, one) for name, one in arrays.items()}, stated=said)
+
+
+def _kind_of_states(reader: Any, topic: str | None) -> str:
+    """Return the message that joints are read from: that of the topic, or the first there is."""
+    kinds = {c.msgtype for c in reader.connections if topic in (None, c.topic)}
+    return next((kind for kind in STATES if kind in kinds), next(iter(STATES)))
 
 
 def _topic(
@@ -148,8 +167,10 @@ class _Stream:
         """Take one message, unless there is no row of it."""
         row = self._row(message)
         if row is not None:
-            stamp = message.header.stamp
-            self.stamps.append(int(stamp.sec) * _SECOND + int(stamp.nanosec))
+            header = getattr(message, "header", None)
+            stamp = None if header is None else header.stamp
+            own = 0 if stamp is None else int(stamp.sec) * _SECOND + int(stamp.nanosec)
+            self.stamps.append(own)
             self.recorded.append(int(recorded))
             self.values.extend(row)
 
@@ -165,10 +186,14 @@ class _Stream:
 
 
 class _Joints:
-    """What joint states are of, message by message; those of other joints are passed over."""
+    """What states of joints are of, message by message; those of other joints are passed over."""
 
-    def __init__(self, names: Sequence[str] | None) -> None:
-        self._chosen = names is not None
+    def __init__(
+        self,
+        values_of: Callable[[Any, Sequence[str] | None], Joints],
+        names: Sequence[str] | None,
+    ) -> None:
+        self._values_of, self._given = values_of, names
         self._names = None if names is None else tuple(names)
         self._count = 0
         self._order: dict[tuple[str, ...], list[int] | None] = {}
@@ -177,14 +202,15 @@ class _Joints:
     def row(self, message: Any) -> list[float] | None:
         """Return the values of all quantities that are filled, one quantity behind the other."""
         self._count += 1
-        names, values = tuple(message.name), []
+        found, rows = self._values_of(message, self._given)
+        names, values = tuple(found), list[float]()
         if names not in self._order:
             self._order[names] = self._matched(names)
         order = self._order[names]
         if order is None:
             return None
-        for quantity in _QUANTITIES:
-            row = getattr(message, quantity)
+        for quantity in QUANTITIES:
+            row = rows.get(quantity, ())
             filled = self._filled.setdefault(quantity, len(row) > 0)
             if len(row) != (len(names) if filled else 0):
                 raise DataError(
@@ -207,6 +233,11 @@ class _Joints:
             )
         return None if missing else [names.index(name) for name in self._names]
 
+    @property
+    def order(self) -> list[int]:
+        """Where the joints are in the messages that hold them, the first of these."""
+        return next(order for order in self._order.values() if order is not None)
+
     def arrays(self, states: _Stream) -> dict[str, NDArray[Any]]:
         """Return what was collected as named arrays."""
         others = sorted(", ".join(names) for names, order in self._order.items() if order is None)
@@ -216,7 +247,7 @@ class _Joints:
                 f"no message holds the joints {names}; there are "
                 f"{'; '.join(others) or 'no messages'}."
             )
-        if others and not self._chosen:
+        if others and self._given is None:
             raise DataError(
                 f"the messages are of several sets of joints: {names}; "
                 f"{'; '.join(others)}. Choose with joint_names=."
@@ -228,6 +259,18 @@ class _Joints:
             "joint_names": np.asarray(self._names),
             **dict(zip(filled, np.split(states.table, max(1, len(filled)), axis=1), strict=False)),
         }
+
+
+def _from_first(
+    arrays: Mapping[str, NDArray[Any]], commands: _Stream, states: _Stream, motors: Sequence[int]
+) -> dict[str, NDArray[Any]]:
+    """Return arrays from the first command on, with what each motor was told last."""
+    when = states.since(states, own=False)
+    row = np.searchsorted(commands.since(states, own=False), when, side="right") - 1
+    known = row >= 0
+    told = commands.table.reshape(len(commands.recorded), 2, -1)[row[known]][:, :, list(motors)]
+    kept = {n: each if n == "joint_names" else each[known] for n, each in arrays.items()}
+    return {**kept, "reference": told[:, 0], "feedforward": told[:, 1]}
 
 
 def _at_states(
