@@ -27,11 +27,15 @@ from sdpid.estimation.problem import describe
 from sdpid.output.report.headline import Headline, headline
 from sdpid.output.report.subject import Judged
 from sdpid.output.report.verdict import verdict as verdict_on
+from sdpid.output.robots.drive_files import NAMES as DRIVE_FILES
+from sdpid.output.robots.drive_files import write_drives
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.robots.friction_files import NAMES as FRICTION_FILES
 from sdpid.output.robots.friction_files import write_friction
 from sdpid.output.robots.mjcf import write_mjcf
 from sdpid.output.robots.urdf import write_urdf
+from sdpid.output.samples.drive_draws import NAME as DRIVE_SAMPLES
+from sdpid.output.samples.drive_draws import write_drive_draws
 from sdpid.output.tables.parameter_tables import base_table, in_words, intervals_dict, theta_table
 from sdpid.output.tables.parameters_file import write_parameters
 from sdpid.robot.friction.model import JointCurve
@@ -67,6 +71,8 @@ NAMES = (
     "identified.urdf",
     "identified.xml",
     *FRICTION_FILES,
+    *DRIVE_FILES,
+    DRIVE_SAMPLES,
     "training.png",
     "validation.png",
     "report.html",
@@ -98,7 +104,8 @@ def save(
     """Write tables, robots, certificate and a report into a folder: all, or none.
 
     The robot is written as identified.urdf where it came from one, and as identified.xml
-    (MJCF) where MuJoCo is installed and can hold it.
+    (MJCF) where MuJoCo is installed and can hold it; drives that were fitted under a law also as
+    drives.csv, blocks for Isaac Lab, mjlab and BAM, and as draws.
 
     Parameters
     ----------
@@ -151,6 +158,9 @@ def save(
             used = estimate if result.drives is None else result.drives.estimate(rich=tendons)
             exports.extend(_robots(result, used, stage, note, offsets, tendons))
             _friction(result, stage, note)
+            if result.drives is not None:
+                note(write_drives(result.drives, stage))
+                write_drive_draws(result.drives, stage / DRIVE_SAMPLES, stage / "identified.xml")
             if figures:
                 _figures(result, stage)
             _report(result, stage, note, command, exports)

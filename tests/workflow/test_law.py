@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 import json
+from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 
 import sdpid
 from sdpid.errors import DataError
+from sdpid.output.robots.drive_files import NAMES, bam, isaaclab, mjlab, write_drives
+from sdpid.output.samples.drive_draws import draw_drives, truncated_normal
 from tests.estimation.test_positions import (
     DRIVES,
     KD,
@@ -257,3 +262,127 @@ def test_refusals(legs, how, message):
 def test_a_delay_that_no_drive_has_is_refused(delay):
     with pytest.raises(DataError, match=r"delay is .*; give seconds from 0 to 0\.1"):
         PD(kp=1.0, kd=1.0, delay=delay)
+
+
+def calls(text):
+    """The calls in a block and their keyword arguments, by names and values."""
+    named = {"DELAY_STEPS": "steps"}
+    tree = ast.parse(text)
+    values = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
+            values[node.targets[0].id] = node.value.value
+
+    def value(node):
+        return named[node.id] if isinstance(node, ast.Name) else ast.literal_eval(node)
+
+    found = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and node.keywords]
+    return values, [
+        (x.func.id, {each.arg: value(each.value) for each in x.keywords}) for x in found
+    ]
+
+
+def test_files_to_paste(result, tmp_path):
+    notes, fit = [], result.drives
+    result.save(tmp_path / "o", report=notes.append)
+    text = {name: (tmp_path / "o" / name).read_text() for name in NAMES}
+    own = {name: fit.reduced[name] for name in ("kp", "kd", "armature", "damping", "friction")}
+    by_joint = {name: dict(zip(fit.joint_names, x, strict=True)) for name, x in own.items()}
+    told, ((implicit, first), (delayed, second)) = calls(text["drives_isaaclab.py"])
+    assert (implicit, delayed) == ("ImplicitActuatorCfg", "DelayedPDActuatorCfg")
+    assert told == {"PHYSICS_STEP": 0.002, "DELAY": fit.delay}
+    assert second == {**first, "min_delay": "steps", "max_delay": "steps"}
+    assert first.pop("joint_names_expr") == list(fit.joint_names)
+    fields = {"stiffness": "kp", "damping": "kd", "armature": "armature"}
+    fields |= {"friction": "friction", "dynamic_friction": "friction"}
+    fields |= {"viscous_friction": "damping"}
+    assert first == {field: by_joint[name] for field, name in fields.items()}
+    told, made = calls(text["drives_mjlab.py"])
+    assert told["DELAY"] == fit.delay
+    fields = {"stiffness": "kp", "damping": "kd", "armature": "armature"}
+    fields |= {"frictionloss": "friction", "viscous_damping": "damping"}
+    for j, (joint, (name, given)) in enumerate(zip(fit.joint_names, made, strict=True)):
+        assert name == "BuiltinPositionActuatorCfg"
+        assert given.pop("target_names_expr") == (joint,)
+        assert (given.pop("delay_min_lag"), given.pop("delay_max_lag")) == ("steps", "steps")
+        assert given == {field: own[kind][j] for field, kind in fields.items()}
+    motors = json.loads(text["drives_bam.json"])
+    for joint, motor in motors.items():
+        names = {"armature": "armature", "friction_base": "friction", "friction_viscous": "damping"}
+        assert {name: by_joint[kind][joint] for name, kind in names.items()}.items() < motor.items()
+        assert (motor["model"], motor["command_delay"]) == ("m1", fit.delay)
+    assert [*motors] == list(fit.joint_names)
+    assert any("drives_bam.json: without kt and R" in note for note in notes)
+    table = pd.read_csv(tmp_path / "o" / "drives.csv").set_index("joint")
+    assert table["limit [N.m]"].isna().all()
+    for column, numbers in (("armature [kg.m2]", own["armature"]), ("f1 [N.m/rad]", None)):
+        numbers = fit.rich["slope"] if numbers is None else numbers
+        np.testing.assert_array_equal(table[column], numbers)
+    np.testing.assert_array_equal(table["delay [s]"], fit.delay)
+    with np.load(tmp_path / "o" / "drives_samples.npz") as drawn:
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / "o" / "identified.xml"))
+        names = [model.joint(k).name for k in range(model.njnt)]
+        assert drawn["joint_names"].tolist() == names
+        assert {drawn[name].shape for name in ("armature", "f0", "friction", "kd")} == {(500, N)}
+
+
+def test_blocks_of_odd_names_and_limits(result, tmp_path):
+    odd = ("l.hip", "l'knee\n", "r\\hip", "rknéé\u2028")
+    law = replace(result.drives.law, limit=np.array([1.0, 2.0, 3.0, 4.0]))
+    fit = replace(result.drives, joint_names=odd, law=law)
+    _, ((_, implicit), (_, delayed)) = calls(isaaclab(fit))
+    assert implicit["joint_names_expr"][0] == r"l\.hip"
+    assert [*implicit["effort_limit_sim"].values()] == [1.0, 2.0, 3.0, 4.0]
+    assert delayed["effort_limit"] == implicit["effort_limit_sim"]
+    assert [given["effort_limit"] for _, given in calls(mjlab(fit))[1]] == [1.0, 2.0, 3.0, 4.0]
+    assert [*json.loads(bam(fit))] == list(odd)
+    for text in (isaaclab(fit), mjlab(fit), bam(fit)):
+        assert text.isascii()
+    constants = replace(fit, choice=replace(fit.choice, rows=("armature", "damping", "friction")))
+    write_drives(constants, tmp_path)
+    header = (tmp_path / "drives.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.endswith("friction [N.m],delay [s]")
+
+
+def test_draws_are_those_of_the_fit(result):
+    fit = result.drives
+    drawn = draw_drives(fit, 400, joints=fit.joint_names[::-1], seed=3)
+    assert drawn["joint_names"].tolist() == list(fit.joint_names[::-1])
+    deviations = np.sqrt(np.diag(fit.covariance))
+    numbers = np.concatenate([fit.rich[kind] for kind in fit.kinds])
+    names = {"armature": "armature", "damping": "damping", "friction": "f0", "slope": "f1"}
+    columns = np.concatenate([drawn[names[kind]][:, ::-1] for kind in fit.kinds], axis=1)
+    columns = np.column_stack([columns, drawn["delay"]])
+    far = np.append(numbers, fit.delay) > 4.0 * deviations
+    far[3 * N :] = True
+    assert far.mean() > 0.8
+    found = np.cov(columns, rowvar=False)[np.ix_(far, far)]
+    scale = np.outer(deviations, deviations)[np.ix_(far, far)]
+    assert np.abs((found - fit.covariance[np.ix_(far, far)]) / scale).max() < 0.25
+    off = (columns.mean(axis=0) - np.append(numbers, fit.delay)) / deviations
+    assert np.abs(off[far]).max() < 0.25
+    assert min(drawn[name].min() for name in ("armature", "damping", "friction", "delay")) >= 0.0
+    given = replace(
+        fit, delay_found=False, names=fit.names[:-1], covariance=fit.covariance[:-1, :-1]
+    )
+    assert np.all(draw_drives(given, 5)["delay"] == fit.delay)
+
+
+def test_truncated_normal_is_that_of_rejection():
+    mean, low = np.array([0.1, -1.0, 3.0]), np.array([0.0, 0.0, 3.0])
+    covariance = np.array([[1.0, -0.6, 0.0], [-0.6, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    start = np.array([0.5, 0.5, 3.0])
+    high = np.array([np.inf, 2.0, 3.0])
+    found = truncated_normal(np.tile(mean, (4000, 1)), covariance, low, high, start)
+    rng = np.random.default_rng(1)
+    free = rng.multivariate_normal(mean[:2], covariance[:2, :2], 400_000)
+    kept = free[np.all((free >= low[:2]) & (free <= high[:2]), axis=1)]
+    assert len(kept) > 5000
+    assert np.all((found >= low) & (found <= high))
+    np.testing.assert_allclose(found[:, :2].mean(axis=0), kept.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(np.cov(found[:, :2].T), np.cov(kept.T), atol=0.02)
+    # A hundred deviations from the bound little but the bound is left.
+    tail = truncated_normal(
+        np.full((50, 1), -100.0), np.eye(1), np.zeros(1), np.ones(1), np.ones(1)
+    )
+    assert 0.0 < tail.mean() < 0.02
