@@ -29,10 +29,13 @@ from sdpid.estimation.information import Excitation, require_excitation
 from sdpid.estimation.prior.cost_terms import LogDetTerm, SquaredTerm
 from sdpid.estimation.prior.friction import with_friction_max
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
-from sdpid.experiment.preparation.prepare import Piece, samples_of
+from sdpid.experiment.preparation.prepare import Piece, as_pieces, samples_of
 from sdpid.experiment.processing.robot_contacts import require_places
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.simulation.controllers import PD
+from sdpid.experiment.simulation.law import USUAL_DELAY, under_law
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
@@ -347,6 +350,7 @@ def build_problem(
     base: BaseParameters | None = None,
     processing: Processing | None = None,
     check_excitation: bool = True,
+    law: PD | None = None,
 ) -> Problem:
     """Build the problem of estimating a robot's parameters from samples.
 
@@ -381,6 +385,9 @@ def build_problem(
         recording with the median cut-off.
     check_excitation : bool, optional
         Whether data that leave a base parameter undetermined are refused where there is no prior.
+    law : sdpid.controllers.PD, optional
+        The law that made the efforts of commanded positions in recordings and files, in which none
+        were measured; its delay is 4 ms where it is None, which the samples' notes say.
 
     Returns
     -------
@@ -419,7 +426,11 @@ def build_problem(
             "such as sdpid.load_robot(name)."
         )
     elsewhere = samples if isinstance(samples, SamplesElsewhere) else None
+    if law is not None:
+        samples, note = _under_law(robot, samples, law)
     here = elsewhere.samples if elsewhere else samples_of(robot, samples, processing)
+    if law is not None:
+        here = replace(here, notes=(*here.notes, note))
     check_samples(robot, here)
     if here.contacts is not None and weighting in PRINTED:
         raise DataError(
@@ -462,6 +473,19 @@ def build_problem(
     if prior is None and check_excitation:
         require_excitation(problem.excitation)
     return problem
+
+
+def _under_law(robot: RobotModel, given: Any, law: PD) -> tuple[tuple[Recording, ...], str]:
+    """Return recordings with the efforts of a law, and a note that says so."""
+    if isinstance(given, SamplesElsewhere) or any(isinstance(x, Samples) for x in as_pieces(given)):
+        raise DataError(
+            "law: turns commands of recordings into efforts, and samples hold none; give the "
+            "recordings, or leave the law out where the samples have efforts."
+        )
+    known, logs = under_law(robot, given, law, "build_problem", USUAL_DELAY)
+    usual = ", the usual delay as none is given" if law.delay is None else ""
+    after = 1e3 * float(known.delay or 0.0)
+    return logs, f"efforts are those of the law, {after:.3g} ms after commands{usual}"
 
 
 def check_samples(robot: RobotModel, samples: Samples) -> None:

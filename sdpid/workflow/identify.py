@@ -39,7 +39,7 @@ from sdpid.experiment.preparation.prepare import Logs, Prepared, ProcessingOf, r
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.simulation.controllers import PD
-from sdpid.experiment.simulation.law import with_efforts_of_law
+from sdpid.experiment.simulation.law import USUAL_DELAY, with_efforts_of_law
 from sdpid.output.report.kinds import listed
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -49,10 +49,6 @@ from sdpid.workflow.result import Identification
 
 # What simulators know of drives: the terms of a convex fit to the efforts of a law.
 MADE_OF_LAW = ("coulomb", "viscous", "rotor_inertia")
-
-# A delay (s) at which the convex fit takes the law's commands before theirs is known: torques
-# hardly tell one.
-USUAL_DELAY = 0.004
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
 # six and seven joints; Gauss-Markov intervals take some 0.1 s.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError
+from sdpid.experiment.simulation.law import CommandedMotion
 from sdpid.output.robots.drive_files import NAMES, bam, isaaclab, mjlab, write_drives
 from sdpid.output.samples.drive_draws import draw_drives, truncated_normal
 from tests.estimation.test_positions import (
@@ -386,3 +388,66 @@ def test_truncated_normal_is_that_of_rejection():
         np.full((50, 1), -100.0), np.eye(1), np.zeros(1), np.ones(1), np.ones(1)
     )
     assert 0.0 < tail.mean() < 0.02
+
+
+@pytest.fixture(scope="module")
+def built(legs):
+    """The log, and the problem of a law's efforts on it."""
+    path, log = legs
+    terms = ("coulomb", "viscous", "rotor_inertia")
+    how = {"friction": terms, "weighting": "residual", "prior": sdpid.Prior()}
+    return log, partial(sdpid.build_problem, sdpid.load_robot(path), **how)
+
+
+def test_closed_loops_take_the_delay_of_a_law(built, result):
+    log, build = built
+    law = PD(kp=KP, kd=KD, delay=0.005)
+    problem = build(log, law=law)
+    assert problem.samples.notes[-1].endswith("5 ms after commands")
+    found = sdpid.solve_output_error(problem, log, method="closed_loop", law=law)
+    assert found.controller.delay == 0.005
+    late = partial(
+        sdpid.solve_output_error, problem, log, method="closed_loop", law=replace(law, delay=0.0)
+    )
+    with pytest.raises(DataError, match="is not that of this log"):
+        late()
+    missed = late(controller_tolerance=np.inf, start=found).position_error
+    assert 2.0 * found.position_error.min() < missed.min()
+    of_drives = sdpid.rollout(result, log, (0.1,), law=result.drives.law, baselines=False)
+    of_efforts = sdpid.rollout(result.estimate, log, (0.1,), law=law, baselines=False)
+    assert of_drives.median[0] < 0.7 * of_efforts.median[0]
+    assert "ms after the commands" in of_drives.said[0]
+
+
+def test_added_efforts_and_lines_act_in_closed_loops(built):
+    log, _ = built
+    own = np.full_like(log.position, 0.4)
+    lines = np.sin(np.asarray(log.time))[:, None] * np.ones(N)
+    added = sdpid.Recording(time=log.time, position=log.position, reference=lines, feedforward=own)
+    motion = CommandedMotion.under(added, PD(kp=np.full(N, KP), kd=KD, delay=0.003))
+    at = np.array([0.5, 0.5012])
+    expected = np.sin(at - 0.003) + 0.4 / KP
+    np.testing.assert_allclose(motion.at(at)[:, 0, 1], expected, atol=1e-5)
+    assert not motion.at(at)[:, 1:].any()
+
+
+def test_refusals_of_simulations_under_a_law(built):
+    log, build = built
+    law = PD(kp=KP, kd=KD, delay=0.005)
+    problem = build(log, law=PD(kp=KP, kd=KD))
+    assert "4 ms after commands, the usual delay" in problem.samples.notes[-1]
+    estimate, samples = sdpid.solve_wls(problem), problem.samples
+    for call, message in (
+        (lambda: build(samples, law=law), "samples hold none; give the recordings"),
+        (lambda: build(log, law=PD(kp=None, kd=KD)), "its kp is None, to be found; build_problem"),
+        (lambda: build(log, law=3), "law: is 3; give sdpid.controllers.PD"),
+        (lambda: sdpid.rollout(estimate, log, law=LAW), "its delay is None, .* rollout needs a"),
+        (lambda: sdpid.rollout(estimate, samples, law=law), "samples hold no commands"),
+        (lambda: sdpid.solve_output_error(problem, log, law=LAW), "its delay is None"),
+        (
+            lambda: sdpid.solve_output_error(problem, log, law=law, controller="fit"),
+            "leave controller and reference out",
+        ),
+    ):
+        with pytest.raises(DataError, match=message):
+            call()

@@ -44,7 +44,8 @@ from sdpid.experiment.recording.joints import match_joints, require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.controllers import PD, Controller
+from sdpid.experiment.simulation.law import CommandedMotion, under_law
 from sdpid.experiment.simulation.open_loop import Track, simulate_stretches, tip_positions
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
@@ -72,6 +73,7 @@ def rollout(
     without_effort: Iterable[str] = (),
     start_every: float | None = None,
     controller: Controller | None = None,
+    law: PD | None = None,
     processing: Processing | Mapping[str, Any] | None = None,
     baselines: bool = True,
     seed: int | np.random.Generator = 0,
@@ -108,6 +110,9 @@ def rollout(
     controller : Controller, optional
         Simulate in closed loop instead: all joints follow the recording's commanded positions
         under this controller (see `sdpid.controllers`), and measured efforts are not used.
+    law : sdpid.controllers.PD, optional
+        The law that moved a robot whose efforts were not measured, with its delay: as `controller`,
+        but with the commands of a delay before, which are steps where the recording has steps.
     processing : Processing or mapping, optional
         How states and efforts are filtered; by default as `identify` would, or a mapping of
         changes of that. Rows are never masked, and periods not averaged.
@@ -139,8 +144,16 @@ def rollout(
     >>> list(moved.models)
     ['this estimate', 'constant velocity', 'stand still', 'noise alone']
     """
+    robot = _judged(estimate)[0].robot
+    if law is not None:
+        if controller is not None or isinstance(recording, Samples):
+            raise DataError(
+                "law: says what closed the loop along a recording; leave controller out, and give "
+                "the recording, as samples hold no commands."
+            )
+        controller, (recording,) = under_law(robot, [recording], law, "rollout")
     # Names that are no joints are told before anything is solved for.
-    _free_joints(_judged(estimate)[0].robot, free, controller)
+    _free_joints(robot, free, controller)
     simulations = _Simulations(
         estimate,
         recording,
@@ -151,7 +164,7 @@ def rollout(
         baselines=baselines,
         seed=seed,
     )
-    return simulations.rollout(free, controller)
+    return simulations.rollout(free, controller, told=law is not None)
 
 
 @one_thread
@@ -219,22 +232,37 @@ class _Simulations:
                 self.arms[name] = SimulatedArm.of(beside)
         self.light = light_joints(model, samples, validate_dynamics(model, samples).moving)
 
-    def rollout(self, free: str | Iterable[str], controller: Controller | None = None) -> Rollout:
-        """Simulate all models with some joints free, and compare."""
+    def rollout(
+        self,
+        free: str | Iterable[str],
+        controller: Controller | None = None,
+        *,
+        told: bool = False,
+    ) -> Rollout:
+        """Simulate all models with some joints free, and compare; `told` as a law acts."""
         robot, track, first = self.robot, self.track, self.first
         which, named = _free_joints(robot, free, controller, self.absent)
         joints, instants = np.nonzero(which)[1].tolist(), first[:, None] + self.after
         measured, reference = track.position[instants], None
         way = f"in steps of {1e3 * track.step:.3g} ms under the filtered efforts, which raw ones "
         way += "hardly change"
-        if controller is not None:
+        motion: CommandedMotion | None = None
+        if told:
+            assert self.log is not None
+            assert isinstance(controller, PD)
+            motion = CommandedMotion.under(match_joints(robot, self.log), controller)
+            reference = motion.at(track.time - motion.begin)[:, 0]
+            way = f"in closed loop, {1e3 * motion.delay:.3g} ms after the commands"
+        elif controller is not None:
             reference, way = _reference_on(track, robot, self.log), "in closed loop"
             controller = getattr(controller, "controller", controller)
 
         def moved(name: str, along: Track = track) -> Array:
             """Return simulated positions (G, S, L, n), not numbers from where one ran away."""
             if reference is not None:
-                return self._in_closed_loop(self.arms[name], along, reference, controller)
+                return self._in_closed_loop(
+                    self.arms[name], along, reference if motion is None else motion, controller
+                )
             released, starts = np.repeat(which, len(first), axis=0), np.tile(first, len(which))
             found = simulate_stretches(self.arms[name], along, starts, released, self.after)
             return found.reshape(len(which), *measured.shape)
@@ -267,16 +295,25 @@ class _Simulations:
             said=(f"{self.starts}, simulated {way}", *self.notes),
         )
 
-    def _in_closed_loop(self, arm: SimulatedArm, track: Track, reference: Array, law: Any) -> Array:
+    def _in_closed_loop(
+        self, arm: SimulatedArm, track: Track, reference: Array | CommandedMotion, law: Any
+    ) -> Array:
         """Return simulated positions (1, S, L, n), each from the measured state.
 
         A controller that integrates starts with nothing integrated.
         """
         out = np.full((1, len(self.first), len(self.after), self.robot.n), np.nan)
+        count = int(self.after[-1]) + 1
         for s, first in enumerate(self.first):
+            if isinstance(reference, CommandedMotion):
+                time = np.asarray(track.step * np.arange(count))
+                begin = float(track.time[first])
+                desired: Any = replace(reference, time=time, begin=begin)
+            else:
+                desired = reference[first : first + count]
             moved = simulate_closed_loop(
                 arm,
-                reference[first : first + int(self.after[-1]) + 1],
+                desired,
                 law,
                 rate_hz=1.0 / track.step,
                 start=(track.position[first], track.velocity[first]),
@@ -305,7 +342,8 @@ def _judged(given: Any) -> tuple[RobotDynamics, Estimate | None, str]:
     """Return the model to simulate, the estimate that it is of, and its name."""
     if isinstance(given, RobotDynamics):
         return given, None, _MODEL
-    found = getattr(given, "estimate", given)
+    drives = getattr(given, "drives", None)
+    found = getattr(given, "estimate", given) if drives is None else drives.estimate()
     if not isinstance(found, Estimate):
         raise DataError(
             f"rollout: is given {type(given).__name__} {given!r:.60}; give an Estimate, such as "

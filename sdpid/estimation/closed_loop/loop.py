@@ -17,6 +17,7 @@ from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import DesiredMotion, Motion, simulate_closed_loop
 from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.fit_controller import fit_controller
+from sdpid.experiment.simulation.law import CommandedMotion
 from sdpid.experiment.simulation.sensitivities import sensitivities
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.base_parameters import BaseParameters
@@ -174,6 +175,8 @@ class ClosedLoop:
     as_measured : bool, optional
         Whether motions begin as measured, and are simulated at instants close enough for `slopes`.
         Otherwise they begin as commanded: no noise of the encoders is in them.
+    law : bool, optional
+        Whether the controller is the law of the recordings, whose commands act after its delay.
 
     Raises
     ------
@@ -200,7 +203,12 @@ class ClosedLoop:
         purpose: str = "output error",
         exact: bool = True,
         as_measured: bool = True,
+        law: bool = False,
     ) -> None:
+        told = [CommandedMotion.under(x, controller) for x in twin.logs] if law else None
+        if told is not None:
+            # What acts, at the stamps.
+            reference = [each.at(each.time)[:, 0] for each in told]
         self.twin, self.control_hz, self.purpose = commanded(twin, reference), control_hz, purpose
         self.references = references(self.twin, f"{purpose}:")
         self.controller = _controller(controller, self.twin.logs[0], purpose, exact=exact)
@@ -212,10 +220,13 @@ class ClosedLoop:
         # Of each recording: what was commanded at stamps that are close enough for what is
         # simulated, how many of these lie between its own, and where the robot was at the first.
         self._paths: list[tuple[DesiredMotion, int, tuple[Array, Array] | None]] = []
-        for log in self.twin.logs:
-            desired, every, start = DesiredMotion.of(log, log.n, None), 1, None
+        for number, log in enumerate(self.twin.logs):
+            given: Any = log if told is None else told[number]
+            desired, every, start = DesiredMotion.of(given, log.n, None), 1, None
             if as_measured:
-                start = _start(log, desired)
+                # Steps are no smooth motion about which the measured one could be.
+                states = desired.at(desired.time) * (told is None)
+                start = _start(log, desired.time, states)
                 every = max(1, int(np.ceil(log.step / _LINEARIZED - 1e-6)))
                 count = len(desired.time)
                 rows = np.arange((count - 1) * every + 1) / every
@@ -304,9 +315,8 @@ class ClosedLoop:
         return np.ascontiguousarray(np.moveaxis(np.array(columns), 0, 2))
 
 
-def _start(log: Recording, desired: DesiredMotion) -> tuple[Array, Array]:
+def _start(log: Recording, time: Array, told: Array) -> tuple[Array, Array]:
     """Return the measured state at the first stamp: as told, less a parabola of the errors."""
-    time, told = desired.time, desired.at(desired.time)
     error = told[:, 0] - np.asarray(log.position)
     # Third differences of what is smooth are small; of white noise they have 20 times its variance.
     rough = np.diff(error, n=3, axis=0)

@@ -29,7 +29,8 @@ from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation.prepare import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.controllers import PD, Controller
+from sdpid.experiment.simulation.law import under_law
 from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.arms import require_fixed_robot
@@ -262,6 +263,7 @@ def solve_output_error(
     max_iterations: int = 10,
     tolerance: float = TOLERANCE,
     controller_tolerance: float = CONTROLLER,
+    law: PD | None = None,
 ) -> OutputErrorEstimate:
     """Fit the motion of a simulated robot, in closed loop with its controller, to a recording.
 
@@ -306,6 +308,9 @@ def solve_output_error(
         Largest share by which measured efforts may differ from those of the controller on the
         measured motion, three standard errors allowed for, for ``"closed_loop"``; ``inf`` allows
         any.
+    law : sdpid.controllers.PD, optional
+        In place of `controller`, where the problem was built with a law (`build_problem`): it made
+        the efforts, and its commands act after its delay.
 
     Returns
     -------
@@ -348,12 +353,20 @@ def solve_output_error(
     begin = time.perf_counter()
     if processing is None:
         processing = getattr(problem, "processing", None)
+    if law is not None:
+        if controller is not None or reference is not None:
+            raise DataError(
+                "law: says what closed the loop, and the recording what was commanded; leave "
+                "controller and reference out."
+            )
+        controller, recording = under_law(given.robot, recording, law, "output error")
     loop = ClosedLoop(
         Twin.of(given.robot, recording, processing, measured=given.samples),
         controller,
         reference,
         control_hz=control_hz,
         exact=method != "didim",
+        law=law is not None,
     )
     check = ControllerCheck(loop)
     if method == "closed_loop":

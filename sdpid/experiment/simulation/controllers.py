@@ -319,7 +319,7 @@ class PD(JointLaw):
         Largest efforts, N·m (N).
     delay : float, optional
         Time (s) from a command to its effort, in a log that this law moved; None where it is to be
-        found. Simulations in closed loop know no delay.
+        found. Simulations in closed loop know it where this is their ``law``.
     limit : ndarray, shape (n,), optional
         The same as `effort_limit`.
 

@@ -13,12 +13,19 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid._common.files import load_toml
 from sdpid.errors import DataError
+from sdpid.experiment.preparation.prepare import Logs, read_logs
+from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.simulation.closed_loop import DesiredMotion
 from sdpid.experiment.simulation.controllers import PD
+from sdpid.experiment.trajectory.curve import SampledCurve
 from sdpid.robot.model.model import RobotModel
 
 # Commands are steps that are held where this share of the rows in motion repeat the one before.
 _HELD = 0.3
+
+# A delay (s) at which a law's efforts are taken where none is known: torques hardly tell one.
+USUAL_DELAY = 0.004
 
 # Without a limit none is reached, N·m (N).
 _NO_LIMIT = np.inf
@@ -81,9 +88,9 @@ class Told:
         limit = np.full(log.n, _NO_LIMIT) if law.limit is None else np.array(law.limit)
         return cls(command=command, feedforward=added, limit=limit, held=held, note=note)
 
-    def at(self, time: Array, delay: float) -> tuple[Array, Array]:
-        """Return commands and added efforts (N, n) that act at the time stamps (N,)."""
-        when = time - delay
+    def at(self, time: Array, delay: float, asked: Array | None = None) -> tuple[Array, Array]:
+        """Return commands and added efforts that act at the time stamps, or when it is asked."""
+        when = (time if asked is None else asked) - delay
         if self.held:
             row = np.clip(np.searchsorted(time, when + 1e-9, side="right") - 1, 0, len(time) - 1)
             return self.command[row], self.feedforward[row]
@@ -120,6 +127,85 @@ def with_efforts_of_law(log: Recording, law: PD, delay: float) -> Recording:
     gains = law.gains
     effort = gains.proportional * (command - position) - gains.derivative * velocity + added
     return replace(log, effort=np.clip(effort, -told.limit, told.limit), currents=False, gains=None)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CommandedMotion(DesiredMotion):
+    """What drives under a law were told, as steps or lines, when it acts.
+
+    Attributes
+    ----------
+    told : Told
+        Commands; added efforts are in them, over kp.
+    stamps : ndarray, shape (N,)
+        When these were given, s.
+    begin : float
+        Which time of the recording is zero, s.
+    delay : float
+        Time from a command to its effort, s.
+    """
+
+    told: Told
+    stamps: Array
+    begin: float
+    delay: float
+
+    @classmethod
+    def under(cls, log: Recording, law: PD) -> CommandedMotion:
+        """Take what a recording says of the commands, under a law with its numbers."""
+        stamps, told = np.array(log.time), Told.of(log, law)
+        command = told.command + told.feedforward / law.gains.proportional
+        time = stamps - stamps[0]
+        return cls(
+            time=time,
+            curve=SampledCurve(time=time, position=command),
+            told=replace(told, command=command, feedforward=np.zeros_like(command)),
+            stamps=stamps,
+            begin=float(stamps[0]),
+            delay=float(law.delay or 0.0),
+        )
+
+    def at(self, time: Array) -> Array:
+        """Return commands that act (T, 3, n); their rates are not in the law, and zero."""
+        found = np.zeros((len(time), 3, self.curve.n))
+        found[:, 0] = self.told.at(self.stamps, self.delay, self.begin + time)[0]
+        return found
+
+
+def under_law(
+    robot: RobotModel, given: Logs, law: Any, purpose: str, delay: float | None = None
+) -> tuple[PD, tuple[Recording, ...]]:
+    """Return a law with all its numbers, and recordings with the efforts of it.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    given : Recording or path, or a sequence of these
+        With commanded positions.
+    law : PD
+        The law; the one returned has one number a joint, and no commanded speed.
+    purpose : str
+        For messages.
+    delay : float, optional
+        Its delay (s) where it has none; without, that is refused.
+
+    Raises
+    ------
+    DataError
+        When it is no law, a number is missing, or a recording has no commanded positions.
+    """
+    if not isinstance(law, PD):
+        raise DataError(f"law: is {law!r:.80}; give sdpid.controllers.PD(kp=..., kd=...).")
+    acts = delay if law.delay is None else float(law.delay)
+    if law.kp is None or acts is None:
+        raise DataError(
+            f"law: its {'kp' if law.kp is None else 'delay'} is None, to be found; {purpose} needs "
+            "a number: yours, or that of identify(..., law=...).drives."
+        )
+    known = replace(law.of_joints(robot.n), feedforward=False, delay=acts)
+    _, logs = read_logs(robot, given)
+    return known, tuple(with_efforts_of_law(match_joints(robot, x), known, acts) for x in logs)
 
 
 def law_of(kind: str, robot: RobotModel, given: Mapping[str, Any]) -> PD:
