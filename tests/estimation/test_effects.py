@@ -23,9 +23,17 @@ from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem, describe
 from sdpid.estimation.selection import choose as selection
 from sdpid.estimation.selection.choose import with_effects, with_every_term
-from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, OpenParameter, SampledMotion
-from sdpid.robot.friction.terms import Coulomb, Coupling, RotorInertia, SigmoidFriction, Stribeck
+from sdpid.robot.friction.terms import (
+    Coulomb,
+    Coupling,
+    RotorInertia,
+    SigmoidFriction,
+    Stribeck,
+    term_from_dict,
+    term_to_dict,
+)
 from tests.helpers import data, world
 from tests.helpers.arm import ARM
 from tests.helpers.identified import SATURATED, saturating
@@ -256,12 +264,13 @@ def test_errors_count_the_speeds_that_the_data_chose() -> None:
 
 PAIR = data.random_links(np.random.default_rng(0), 2)
 PAIRS = tuple(tuple(float(x) for x in body) for body in PAIR)
+RANGE = np.array([[-1.0, -2.0], [1.0, 2.0]])
 SATURATING = (Coulomb(width=0.005), SigmoidFriction((0.1, 0.4)), sdpid.friction.Viscous())
 
 
 def test_the_load_rubs_where_the_joint_does() -> None:
     friction = {"Fs1": 3.0, "Fs2": 0.0, "Fsg1": 1.0, "Fsg2": 2.0, "Fv1": 1.0, "Fv2": 1.0}
-    term = next(each for each in EFFECTS if each.name == "load").term(ARM, SATURATING)
+    term = next(each for each in EFFECTS if each.name == "load").term(ARM, SATURATING, RANGE)
     assert term == LoadFriction(width=0.005)
     assert at_estimate(term, PAIR, friction, SATURATING) == LoadFriction(
         PAIRS, width=0.005, share=(0.25, 1.0), velocity=(0.1, 0.4)
@@ -367,6 +376,33 @@ def test_what_is_absent_is_not_chosen(count: int, color: float) -> None:
     assert names(chosen(logged("tilt", count=12))) == set()
 
 
+def test_friction_over_position_is_taken_by_name_alone() -> None:
+    samples = logged()
+    low, high = samples.position.min(axis=0), samples.position.max(axis=0)
+    drag = PositionFriction(tuple(low), tuple(high))
+    values = np.repeat([0.1, 0.0, 0.9], 4)
+    motion = SampledMotion(
+        position=samples.position,
+        velocity=samples.velocity,
+        acceleration=samples.acceleration,
+        robot=ARM4,
+    )
+    own = drag.columns_in(motion, ARM4.joint_names) @ values
+    samples = replace(samples, effort=samples.effort + own)
+    assert "position" not in names(chosen(samples))
+    prior = Prior(bodies=1.1 * LINKS)
+    build = builder(samples, weighting="residual", prior=prior)
+    problem = with_effects(build(TERMS), TERMS, ("position",), build)
+    (told,) = problem.origin.effects
+    assert told.words == "friction over position: in the model as asked"
+    (term,) = [t for t in problem.friction.terms if isinstance(t, PositionFriction)]
+    assert term == drag
+    assert term_from_dict(term_to_dict(term)) == term
+    found = solve_sdp(problem).named_theta()
+    level = [found[f"Fp{k}{j + 1}"] + found[f"Fs{j + 1}"] for k in "abc" for j in range(4)]
+    np.testing.assert_allclose(level, values + 0.3, atol=0.03)
+
+
 def test_a_tilt_that_would_be_seen_is_doubted() -> None:
     (effect,) = [each for each in EFFECTS if each.name == "tilt"]
     assert not effect.doubt({"Gx": np.radians(3.0), "Gy": 0.0})
@@ -423,10 +459,10 @@ def test_effects_without_a_place_or_rows_are_refused() -> None:
     floating = load_robot(TREE, root="free_flyer")
     for effect in EFFECTS:
         if effect.name in ("tilt", "load"):
-            assert effect.term(floating, ()) is None
-        first = effect.term(ARM4, (RotorInertia(),) if effect.name == "coupling" else ())
+            assert effect.term(floating, (), RANGE) is None
+        first = effect.term(ARM4, (RotorInertia(),) if effect.name == "coupling" else (), RANGE)
         assert first is not None
-        assert effect.term(ARM4, (RotorInertia(), first)) is None
+        assert effect.term(ARM4, (RotorInertia(), first), RANGE) is None
 
 
 def test_a_trial_costs_what_the_problem_with_its_terms_costs() -> None:

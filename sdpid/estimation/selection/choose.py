@@ -126,7 +126,7 @@ def with_effects(
     for effect in EFFECTS:
         if effect.name not in (*names, *needed) or effect.held(terms):
             continue
-        term = effect.term(problem.robot, terms)
+        term = effect.term(problem.robot, terms, problem.samples.position)
         if term is None:
             raise DataError(
                 f"effects: {effect.name} has no place on '{problem.robot.name}', for it takes "
@@ -154,8 +154,8 @@ def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_
     while True:
         terms, candidates = tuple(_at(term, estimate) for term in terms), {}
         for effect in EFFECTS:
-            term = effect.term(robot, terms)
-            if term is not None:
+            term = effect.term(robot, terms, problem.samples.position)
+            if term is not None and not effect.by_name:
                 if effect not in closed:
                     closed[effect] = _closed(problem, terms, term)
                 candidates[effect] = _at(closed[effect], estimate)
@@ -277,7 +277,8 @@ def _built(
     """
     terms: tuple[FrictionTerm, ...] = ()
     for effect in effects:
-        term = effect.term(problem.robot, (*problem.friction.terms, *terms))
+        held = (*problem.friction.terms, *terms)
+        term = effect.term(problem.robot, held, problem.samples.position)
         assert term is not None
         terms = (*terms, _at(term, estimate))
     bent = any(effect.bends_friction for effect in effects)

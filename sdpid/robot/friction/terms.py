@@ -12,7 +12,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.tables import plain
 from sdpid.errors import ModelError
-from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
 from sdpid.robot.friction.term import (
     SLOWEST,
     EffortCurve,
@@ -510,7 +510,7 @@ BY_NAME: dict[str, type[FrictionTerm]] = {
 
 # The classes whose settings say everything about a term; a class of someone else's may hold code.
 CLASSES = {each.__name__: each for each in BY_NAME.values()}
-CLASSES[Coupling.__name__] = Coupling
+CLASSES |= {each.__name__: each for each in (Coupling, PositionFriction)}
 
 
 def term_to_dict(term: FrictionTerm) -> dict[str, Any]:
