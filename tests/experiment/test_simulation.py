@@ -88,6 +88,9 @@ def rubbing(seed: int) -> RobotDynamics:
         terms.Tilt(other),
         terms.LoadFriction(other, share=(0.3, 0.0, 1.0), velocity=(0.2, 1.0, 0.5)),
     )
+    if seed == 1:
+        width = (0.3, 0.0, 0.1)
+        kinds = (*kinds[:-1], terms.PositionFriction((-0.5,) * 3, (0.5, 1.0, 0.3), width))
     counts = [len(model_of(robot, (kind,)).terms.parameters) for kind in kinds]
     scale = [0.02 if isinstance(k, (terms.Tilt, terms.LoadFriction)) else 0.5 for k in kinds]
     values = rng.uniform(0.2, 1.0, sum(counts)) * np.repeat(scale, counts)
@@ -106,6 +109,25 @@ class Own(terms.JointwiseTerm):
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the function's values."""
         return np.asarray(self.function(velocity, acceleration))
+
+
+def test_friction_over_position_is_in_motions_and_laws() -> None:
+    """A held joint creeps where friction over position can no longer hold it."""
+    drag = terms.PositionFriction((0.0,), (1.0,))
+    model = slider((drag,), (0.0, 0.5, 1.0))
+    arm = SimulatedArm.of(model)
+    at = np.array([[0.0], [0.5], [2.0]])
+    push = arm.dynamics(at, np.zeros((3, 1)), np.full((3, 1), 0.4))[2]
+    assert push[0, 0] > 0.0
+    np.testing.assert_array_equal(push[1:], 0.0)
+    law = ComputedTorque(model, np.full(1, 100.0), np.full(1, 20.0))
+    time = np.arange(0.0, 2.0, 0.01)[:, None]
+    told = (0.5 + 0.3 * np.sin(3.0 * time), 0.9 * np.cos(3.0 * time), -2.7 * np.sin(3.0 * time))
+    moved = simulate_closed_loop(model, told, law, rate_hz=100.0)
+    assert np.abs(moved.position - told[0]).max() < 2e-3
+    both = (drag, terms.LoadFriction())
+    with pytest.raises(ModelError, match="of the load and over position together"):
+        SimulatedArm.of(slider(both, (0.0, 0.5, 1.0, 0.1)))
 
 
 OWN = (lambda v, a: v * np.abs(v), lambda v, a: np.sign(v) + v, lambda v, a: np.cos(v))

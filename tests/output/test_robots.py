@@ -35,6 +35,7 @@ from sdpid.friction import (
     JointwiseTerm,
     LoadFriction,
     Offset,
+    PositionFriction,
     RotorInertia,
     SigmoidFriction,
     SquareRootFriction,
@@ -53,7 +54,7 @@ from sdpid.robot import inertia
 from sdpid.robot.description import bodies as described
 from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xml import parse_xml, undeclared, xml_text
-from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm, smooth_sign
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
@@ -873,6 +874,7 @@ def all_terms(n: int) -> tuple[tuple[FrictionTerm, ...], ...]:
         ),
         (AsymmetricCoulomb(), Stribeck(velocity=0.3), LoadFriction()),
         (AsymmetricCoulomb(width=0.2), Tilt()),
+        (PositionFriction((-1.0,) * n, widths, width=widths), Viscous()),
     )
 
 
@@ -921,6 +923,15 @@ def expected(model: RobotDynamics, v: Array, a: Array, load: Array) -> tuple[Arr
     return tuple(each[:, first:] for each in (model.friction(v), drives @ values, held))
 
 
+def over_position(model: RobotDynamics, v: Array, q: Array) -> Array | None:
+    """Return friction over position, of a model whose first term it is."""
+    if not isinstance(term := model.terms.terms[0], PositionFriction):
+        return None
+    values = model.theta[10 * model.robot.n_links :][: 3 * v.shape[1]].reshape(3, -1)
+    sign = smooth_sign(v, np.asarray(term.width), 0.0)
+    return np.asarray(np.einsum("cj,ckj->kj", values, term.shapes(q)) * sign)
+
+
 def states_of(model: RobotDynamics, seed: int) -> tuple[Array, Array, Array]:
     """Return velocities, accelerations and loads (K, n); among them standstill and dead zones."""
     v, a, load = random_states(np.random.default_rng(seed), model.robot.n, 12)
@@ -942,6 +953,10 @@ def check_python(file: dict[str, Any], model: RobotDynamics, seed: int) -> None:
     same(file["friction"](v[3]), friction[3])
     same(file["drive_inertia"](a), drives)
     same(file["load_friction"](v, load), held)
+    if (bent := over_position(model, v, load)) is None:
+        assert "position_friction" not in file
+    else:
+        same(file["position_friction"](v, load), bent)
     refuses(ValueError, "states have shape", file["friction"], v[:, :-1])
 
 
@@ -996,6 +1011,14 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
             f"void drives{k}(const double* a, double* e) {{ {space}::drive_inertia(a, e); }}",
             f"void load{k}(const double* v, const double* l, double* e) "
             f"{{ {space}::load_friction(v, l, e); }}",
+            *(
+                [
+                    f"void bent{k}(const double* v, const double* q, double* e) "
+                    f"{{ {space}::position_friction(v, q, e); }}"
+                ]
+                if isinstance(model.terms.terms[0], PositionFriction)
+                else []
+            ),
             "}",
         ]
     (folder / "all.cpp").write_text("\n".join([*lines, ""]), encoding="utf-8")
@@ -1014,12 +1037,11 @@ def test_the_compiled_header_computes_what_the_model_does(compiled: ctypes.CDLL,
     assert [name(j).decode("utf-8") for j in range(n)] == list(model.terms.joint_names)
     v, a, load = states_of(model, 2)
     friction, drives, held = expected(model, v, a, load)
+    told = [("friction", (v,), friction), ("drives", (a,), drives), ("load", (v, load), held)]
+    if (bent := over_position(model, v, load)) is not None:
+        told.append(("bent", (v, load), bent))
     for i in range(len(v)):
-        for function, given_, wanted in (
-            ("friction", (v,), friction),
-            ("drives", (a,), drives),
-            ("load", (v, load), held),
-        ):
+        for function, given_, wanted in told:
             effort = np.full(n, np.nan)
             arrays = [np.ascontiguousarray(x[i, first:]) for x in given_]
             pointers = [x.ctypes.data_as(ctypes.c_void_p) for x in (*arrays, effort)]

@@ -31,7 +31,7 @@ from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.simulation.controllers import PD, Controller
 from sdpid.experiment.simulation.law import under_law
-from sdpid.robot.friction.posed import LoadFriction
+from sdpid.robot.friction.posed import LoadFriction, PositionFriction
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.arms import require_fixed_robot
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -421,6 +421,8 @@ def _require_smooth(problem: Problem) -> None:
     for term in problem.friction.terms:
         if isinstance(term, LoadFriction):
             words = "friction of the load"
+        elif isinstance(term, PositionFriction):
+            words = "friction over position"
         elif isinstance(term, Coupling) and term.width == 0.0:
             words = f"friction of {term.first} and {term.second} together without a width"
         else:

@@ -238,9 +238,9 @@ EFFECTS: tuple[Effect, ...] = (
         made=lambda _, terms, __: Stribeck(width=_width_of_sign(terms)),
         bends_friction=True,
     ),
-    # Coulomb friction that changes with the position. Nothing tells where it helps: a fall of 16 %
-    # on one arm doubles the held-out error of another of its records, one of 11 % on another arm
-    # lowers it by a tenth. Under a known law rollouts of a part of the log tell.
+    # Coulomb friction that changes with the position. Nothing tells where it helps: with a fall
+    # of 16 % on one arm the error on another record grows by a fifth, with one of 11 % on another
+    # arm it falls by a tenth. Under a known law rollouts of a part of the log tell.
     Effect(
         name="position",
         title="friction over position",

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
-from sdpid.errors import DataError
+from sdpid.errors import DataError, ModelError
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.experiment.simulation.kernels.links import KINDS, LOADING, TILTED, Robot, memory_for
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.posed import PosedTerm, Tilt
+from sdpid.robot.friction.posed import LoadFriction, PosedTerm, PositionFriction, Tilt
 from sdpid.robot.friction.term import simulated_curves
 from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -81,6 +81,7 @@ class SimulatedArm:
             matrices=_packed([model.drive_inertia, friction.pop("viscous")]),
             tilted=bool(packs[TILTED].any()),
             loaded=bool(packs[LOADING].any()),
+            bent=any(isinstance(term, PositionFriction) for term in terms.terms),
             **{name: _packed(values) for name, values in friction.items()},
         )
         return cls(model=model, arrays=arrays)
@@ -158,6 +159,12 @@ def _friction(terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
     """
     n = len(terms.joint_names)
     viscous, constant, load = np.zeros((n, n)), np.zeros(n), np.zeros((n, 4))
+    parabolas, kinds = np.zeros((n, 5)), {type(term) for term in terms.terms}
+    if {LoadFriction, PositionFriction} <= kinds:
+        raise ModelError(
+            "simulation: friction of the load and over position together are not simulated; "
+            "identify with one of them."
+        )
     curves: list[tuple[float, ...]] = []
     jumps: dict[tuple[int, int, float], Array] = {}
     for term, own in terms.placed:
@@ -169,6 +176,11 @@ def _friction(terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
                 constant[i] += part.size
             elif part.kind == "load":
                 load[i] = (part.size, *part.numbers)
+            elif part.kind == "position":
+                # As friction of a load that is the parabola's value.
+                load[i], parabolas[i, 2:] = (1.0, 0.0, 1.0, part.size), part.numbers
+            elif part.kind == "range":
+                parabolas[i, :2] = part.numbers[:2]
             elif part.kind == "jump":
                 ends = np.array([part.numbers[1], part.size])
                 key = (i, j, part.numbers[0])
@@ -184,6 +196,7 @@ def _friction(terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
         "viscous": viscous,
         "constant": constant,
         "load": load,
+        "parabolas": parabolas,
         "which": table[:, :4].astype(np.int64),
         "curves": table[:, 4:],
         "contacts": keys[:, :2].astype(np.int64),

@@ -42,6 +42,8 @@ _FUNCTIONS: dict[str, tuple[dict[str, str], str]] = {
     "friction": ({"v": "velocity"}, "friction and offsets"),
     "drive_inertia": ({"a": "acceleration"}, "the efforts that accelerate the rotors"),
     "load_friction": ({"v": "velocity", "load": "load"}, "friction that grows with load"),
+    # Only where there is such friction, and a helper of it.
+    "position_friction": ({"v": "velocity", "q": "position"}, "friction over position"),
 }
 
 # The line that has the numbers as JSON, after the mark of a comment.
@@ -72,7 +74,7 @@ def _effort(formula: str, k: int, v: str, settings: Mapping[str, float]) -> str:
         chosen["sign"] = f"({1.0 - share!r} * {chosen['sign']} + {share!r} * {slow})"
     if "exponent" in chosen:
         chosen["exponent"] = min(chosen["exponent"], _STEEPEST)
-    return formula.format(v=f"v[{k}]", a=f"a[{k}]", load=f"load[{k}]", **chosen)
+    return formula.format(v=f"v[{k}]", a=f"a[{k}]", load=f"load[{k}]", q=f"q[{k}]", **chosen)
 
 
 def _sums(data: Mapping[str, Any], name: str, place: str) -> _Sums:
@@ -100,6 +102,8 @@ def _sums(data: Mapping[str, Any], name: str, place: str) -> _Sums:
                 effort = _PLACE.sub(place, _NAME.sub(name, _effort(formula, other, v, settings)))
                 text = f"{value!r} * {effort}" if effort else repr(value)
                 sums[_function(formula)][own].append((text, symbol + ending))
+    if not any(sums["position_friction"]):
+        del sums["position_friction"]
     return sums
 
 
@@ -107,6 +111,8 @@ def _function(formula: str) -> str:
     """Return the function of the files that a formula belongs to."""
     if "{a}" in formula:
         return "drive_inertia"
+    if "{q}" in formula:
+        return "position_friction"
     return "load_friction" if "{load}" in formula else "friction"
 
 
@@ -139,7 +145,8 @@ def python(data: Mapping[str, Any]) -> str:
     lines = [f'"""{about}\n"""', "", "import numpy as np", ""]
     lines += [f"ROBOT = {data['robot']!a}", f"CERTIFICATE = {data['certificate']!a}"]
     lines += ["JOINTS = (", *(f"    {name!a}," for name in data["joints"]), ")", ""]
-    for function, sums in _sums(data, r"_\g<0>", r"..., \g<0>").items():
+    every = _sums(data, r"_\g<0>", r"..., \g<0>")
+    for function, sums in every.items():
         arguments, returned = _FUNCTIONS[function]
         lines += ["", f"def {function}({', '.join(arguments.values())}):"]
         lines.append(f'    """Return {returned} of all joints."""')
@@ -150,7 +157,8 @@ def python(data: Mapping[str, Any]) -> str:
                 added = "\n        + ".join(f"{text}  # {name}" for text, name in summed)
                 lines += [f"    effort[..., {k}] = (", f"        {added}", "    )"]
         lines += ["    return effort", ""]
-    return "\n".join([*lines, _PYTHON_REST, f"# {_json(data)}", ""])
+    rest = _PYTHON_REST + _PYTHON_BEND * ("position_friction" in every)
+    return "\n".join([*lines, rest, f"# {_json(data)}", ""])
 
 
 def cpp(data: Mapping[str, Any]) -> str:
@@ -164,7 +172,9 @@ def cpp(data: Mapping[str, Any]) -> str:
     lines += [f"constexpr const char* certificate = {_literal(data['certificate'] or '')};"]
     lines += ["constexpr const char* joint_names[joints] = {"]
     lines += [*(f"    {_literal(name)}," for name in data["joints"]), "};", "", _CPP_DETAIL]
-    for function, sums in _sums(data, r"detail::\g<0>", r"\g<0>").items():
+    every = _sums(data, r"detail::\g<0>", r"\g<0>")
+    lines += [_CPP_BEND] * ("position_friction" in every)
+    for function, sums in every.items():
         arguments, returned = _FUNCTIONS[function]
         signature = ", ".join(f"const double* {each}" for each in arguments)
         lines += ["", f"// Writes {returned} of all joints."]
@@ -227,6 +237,25 @@ def _peak(ratio, exponent):
     """Return the Stribeck peak about standstill."""
     return np.exp(-(np.minimum(np.abs(ratio), 1e3) ** exponent))
 '''
+
+_PYTHON_BEND = '''
+
+def _bend(q, low, high, a, b, c):
+    """Return a parabola over a range, held beyond its ends, from its control values."""
+    x = np.clip((q - low) / (high - low), 0.0, 1.0)
+    return a * (1.0 - x) ** 2 + b * 2.0 * x * (1.0 - x) + c * x**2
+'''
+
+_CPP_BEND = """
+namespace detail {
+
+inline double bend(double q, double low, double high, double a, double b, double c) {
+  const double y = (q - low) / (high - low);
+  const double x = y < 0.0 ? 0.0 : y > 1.0 ? 1.0 : y;
+  return a * (1.0 - x) * (1.0 - x) + b * 2.0 * x * (1.0 - x) + c * x * x;
+}
+
+}  // namespace detail"""
 
 _CPP_ARRAYS = """\
 Arrays have one entry a joint, in the order of joint_names; `effort` must not

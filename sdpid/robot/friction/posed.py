@@ -259,6 +259,10 @@ class PositionFriction(FrictionTerm):
     upper: tuple[float, ...]
     width: float | tuple[float, ...] = 0.0
     posed: ClassVar[bool] = True
+    efforts: ClassVar[Mapping[str, str]] = {
+        symbol: f"bend({{q}}, {{lower!r}}, {{upper!r}}, {own}) * {{sign}}"
+        for symbol, own in (("Fpa", "1, 0, 0"), ("Fpb", "0, 1, 0"), ("Fpc", "0, 0, 1"))
+    }
 
     def __post_init__(self) -> None:
         check_speeds(self, ("width",))
@@ -284,6 +288,15 @@ class PositionFriction(FrictionTerm):
             for kind in "abc"
             for j in range(len(joint_names))
         )
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the parabolas and their ranges, and where their signs jump."""
+        widths, three = self.speed("width", len(joint_names)), np.reshape(values, (3, -1)).T
+        for j, (a, b, c) in enumerate(three.tolist()):
+            yield EffortCurve("position", (j, -1), float(widths[j]), (a, b, c))
+            yield EffortCurve("range", (j, -1), 1.0, (self.lower[j], self.upper[j], 0.0))
+            if widths[j] == 0.0:
+                yield EffortCurve("jump", (j, -1), 0.0, (0.0, 0.0, 0.0))
 
     columns = PosedTerm.columns
 

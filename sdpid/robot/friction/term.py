@@ -137,7 +137,9 @@ class EffortCurve(NamedTuple):
     kind : str
         ``"slope"``: `size` times the other joint's velocity. ``"constant"``: `size`. ``"jump"``: at
         the velocity `numbers[0]`, from `numbers[1]` to `size`. ``"load"``: `size` times the load
-        and a sign, with share and speed of a sigmoid and the width of the sign. Smooth curves
+        and a sign, with share and speed of a sigmoid and the width of the sign. ``"position"``: a
+        sign of the width `size` times a parabola with the control values `numbers`, ``"range"``:
+        over positions from ``numbers[0]`` to ``numbers[1]``. Smooth curves
         without jumps, where s is the speed: ``"tanh"``: ``tanh(s/w)`` beyond a dead zone (1, dead
         zone, w); ``"root"``: √s; ``"peak"``: ``exp(−(s/a)^b) − 1`` (a, b, 1); ``"smooth_peak"``:
         ``exp(−(s/a)^b)·tanh(s/w)`` (a, b, w); ``"line"``: a slope between two speeds (1, from, to).

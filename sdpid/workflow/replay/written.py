@@ -30,7 +30,8 @@ from sdpid.output.tables.parameter_tables import base_table, intervals_dict, the
 from sdpid.output.tables.parameters_file import write_parameters
 from sdpid.robot.description.xml import decode_xml
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.posed import LoadFriction
+from sdpid.robot.friction.posed import LoadFriction, PositionFriction
+from sdpid.robot.friction.term import smooth_sign
 from sdpid.verifier import certificate, manifest
 from sdpid.verifier.exact import product
 from sdpid.verifier.folder import CERTIFICATE
@@ -376,6 +377,10 @@ def _computed(
     for term, own in model.placed:
         if isinstance(term, LoadFriction):
             held += values[own] * np.abs(load) * term.sign(v, a)
+        if isinstance(term, PositionFriction):
+            level = np.einsum("cj,ckj->kj", values[own].reshape(3, -1), term.shapes(load))
+            bent = level * smooth_sign(v, term.speed("width", n), 0.0)
+            yield "friction over position", bent, code["position_friction"](v, load)
     rest = every.columns(none, none) @ values
     yield "friction", every.columns(v, none) @ values, code["friction"](v)
     yield "effort of drives", every.columns(none, a) @ values - rest, code["drive_inertia"](a)

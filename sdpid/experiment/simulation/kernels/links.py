@@ -70,6 +70,9 @@ class Robot(NamedTuple):
         Effort at rest.
     load : ndarray, shape (n, 4)
         Share of the load, share of the sigmoid in it, its speed, width of the sign.
+    parabolas : ndarray, shape (n, 5)
+        Friction over position: lower and upper end, control values there and between them. They
+        stand in place of a load, whose share is one.
     which : ndarray of int, shape (C, 4)
         Joints, kind and side of every smooth curve of friction.
     curves : ndarray, shape (C, 4)
@@ -78,8 +81,8 @@ class Robot(NamedTuple):
         Joints of every jump of friction.
     jumps : ndarray, shape (J, 4)
         Its velocity, least and largest effort, and whether the load adds to them.
-    tilted, loaded : bool
-        Whether there are bodies of a tilt, and such that carry load.
+    tilted, loaded, bent : bool
+        Whether there are bodies of a tilt, such that carry load, and friction over position.
     """
 
     tree: Any
@@ -91,12 +94,14 @@ class Robot(NamedTuple):
     matrices: Any
     constant: Any
     load: Any
+    parabolas: Any
     which: Any
     curves: Any
     contacts: Any
     jumps: Any
     tilted: bool
     loaded: bool
+    bent: bool
 
 
 class Memory(NamedTuple):
@@ -294,6 +299,12 @@ def dynamics_at(robot: Any, q: Array, v: Array, memory: Any) -> None:
             M[i, j] += robot.matrices[DRIVES, i, j]
     if robot.loaded:
         links_at(robot, LOADING, q, v, memory, M2, h2)
+    if robot.bent:
+        for i in range(len(q)):
+            low, high = robot.parabolas[i, 0], robot.parabolas[i, 1]
+            x = min(max((q[i] - low) / (high - low), 0.0), 1.0)
+            ends = (1.0 - x) ** 2 * robot.parabolas[i, 2] + x * x * robot.parabolas[i, 4]
+            memory.vectors[CARRIED, i] = ends + 2.0 * x * (1.0 - x) * robot.parabolas[i, 3]
 
 
 def curve_at(kind: int, side: int, c: float, a: float, b: float, w: float, x: float) -> Any:
@@ -345,7 +356,7 @@ def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
             S[k, k] += slope
             S[j, k] += slope
             S[k, j] += slope
-    if robot.loaded:
+    if robot.loaded or robot.bent:
         for j in range(n):
             size, share = load[j, 0] * carried[j], load[j, 1]
             if share > 0.0:

@@ -57,6 +57,8 @@ def law_at(law: Any, memory: Any, desired: Array, integral: Array) -> None:
         for k in range(len(model.contacts)):
             sign = np.sign(speed_at(model, k, desired[1]) - model.jumps[k, 0])
             force = 0.5 * (1.0 + sign) * model.jumps[k, 2] + 0.5 * (1.0 - sign) * model.jumps[k, 1]
+            if model.bent and model.jumps[k, 3] > 0.0:
+                force += sign * carried[model.contacts[k, 0]]
             for joint in model.contacts[k]:
                 if joint >= 0:
                     effort[joint] += force

@@ -231,7 +231,7 @@ def advance(robot: Any, dt: float, memory: Any) -> None:
         share, reached = 1.0, -1
         if not last:
             share, reached = reached_at(robot, end, dv)
-            smooth = len(robot.which) == 0 and not robot.loaded
+            smooth = len(robot.which) == 0 and not (robot.loaded or robot.bent)
             if not smooth and is_curved(robot, end, share, part, memory):
                 part *= 0.5
                 continue
