@@ -89,7 +89,8 @@ LAW = panel(
         "--kd X,Y,...": "Gain of the law, N.m.s/rad.",
         "--delay S": "Time from a command to its effort, s. Default: found.",
         "--limit X,Y,...": "Largest effort of the drives, N.m.",
-        "--for mujoco|isaac|urdf": "Where the model will be used; default with a law: mujoco.",
+        "--for mujoco|isaac|urdf": "Where the model will be used: what that cannot hold is given "
+        "up at the end, and a note says what it costs. Default with a law: mujoco.",
         "--tendons/--no-tendons = off": "Write friction over position into identified.xml, as "
         "tendons.",
     },
@@ -243,15 +244,15 @@ def _conditions(given: Given, robot: RobotModel) -> Iterable[Condition]:
 
 def law(given: Given, robot: RobotModel) -> dict[str, Any]:
     """Return the arguments of `identify` about the law that ran."""
-    own = ("kp", "kd", "delay", "limit", "for_", "tendons")
+    own = ("kp", "kd", "delay", "limit")
     if given.law is None:
         for name in own:
-            if getattr(given, name) not in (None, False):
-                raise DataError(f"--{name.rstrip('_')}: is of a law; give --law pd as well.")
-        return {}
+            if getattr(given, name) is not None:
+                raise DataError(f"--{name}: is of a law; give --law pd as well.")
+        return {"target": given.for_}
     from sdpid.experiment.simulation.law import law_of
 
-    numbers = {name: getattr(given, name) for name in own[:4]}
+    numbers = {name: getattr(given, name) for name in own}
     found = {k: v for k, v in numbers.items() if v is not None}
     return {"law": law_of(given.law, robot, found), "target": given.for_}
 

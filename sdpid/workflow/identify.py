@@ -41,6 +41,7 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.simulation.controllers import PD
 from sdpid.experiment.simulation.law import USUAL_DELAY, with_efforts_of_law
 from sdpid.output.report.kinds import listed
+from sdpid.output.robots.export_report import given_up
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
@@ -176,7 +177,8 @@ def identify(
         drives and links in the positions of rollouts (`Identification.drives`).
     target : {"mujoco", "isaac", "urdf"}, optional
         Where the model will be used: the drives are reduced at the end to what that can hold. By
-        default ``"mujoco"`` with a law.
+        default ``"mujoco"`` with a law. Of measured efforts the estimate stays what it is; a note
+        says what the target's joints give up, and what that costs.
 
     Returns
     -------
@@ -213,11 +215,8 @@ def identify(
             "law: friction, folds and rollout have no place beside it; friction is what simulators "
             "hold, and rollouts are what is fitted."
         )
-    if target is not None and law is None:
-        raise DataError(
-            "target: fits the drives to where they will be used, under a known law; give "
-            "law=sdpid.controllers.PD(...)."
-        )
+    if target is not None and target not in get_args(Target):
+        raise DataError(f"target: is {target!r}; use one of {', '.join(get_args(Target))}.")
     formulation = Formulation(
         friction=friction if law is None else MADE_OF_LAW,
         weighting=weighting,
@@ -271,6 +270,8 @@ def identify(
 
         moved = rollouts(result.estimate, fresh.logs[0], processing=prepared.processing)
         result = replace(result, rollouts=moved)
+    if target is not None and result.estimate.theta is not None:
+        result = replace(result, notes=(given_up(result.estimate, target), *result.notes))
     return result
 
 

@@ -16,6 +16,7 @@ import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.simulation.law import CommandedMotion
 from sdpid.output.robots.drive_files import NAMES, bam, isaaclab, mjlab, write_drives
+from sdpid.output.robots.export_report import given_up
 from sdpid.output.samples.drive_draws import draw_drives, truncated_normal
 from tests.estimation.test_positions import (
     DRIVES,
@@ -30,6 +31,7 @@ from tests.estimation.test_positions import (
     followed,
     links_of_legs,
 )
+from tests.helpers import world
 from tests.helpers.commands import run
 
 PD = sdpid.controllers.PD
@@ -243,7 +245,7 @@ def test_refusals_of_the_command(files, tmp_path, text, options, message):
         ({"law": PD(kp=np.full(3, KP), kd=KD)}, "gains of 3 joints, the robot has 4"),
         ({"law": 3}, "give sdpid.controllers.PD"),
         ({"law": LAW, "target": "moon"}, "use one of mujoco, isaac, urdf"),
-        ({"target": "mujoco"}, "under a known law; give law="),
+        ({"target": "moon"}, "use one of mujoco, isaac, urdf"),
         ({}, "no effort was measured"),
         ({"law": LAW, "changes": {"effort": "position", "reference": None}}, "no commanded"),
         ({"changes": {"reference": None}}, "needs time, position and effort, or commanded"),
@@ -451,3 +453,30 @@ def test_refusals_of_simulations_under_a_law(built):
     ):
         with pytest.raises(DataError, match=message):
             call()
+
+
+@pytest.mark.parametrize(
+    ("target", "friction", "words"),
+    [
+        ("mujoco", ("rotor_inertia",), "nothing is given up"),
+        ("urdf", ("rotor_inertia",), "without RotorInertia Ia1, Ia2: "),
+        ("isaac", ("offset",), "without Offset Fo1, Fo2: "),
+    ],
+)
+def test_what_a_target_gives_up_of_measured_efforts(target, friction, words):
+    terms = ("coulomb", "viscous", *friction)
+    note = world.result(friction=terms, target=target, effects="none").notes[0]
+    assert note.startswith(f"for {target}: {words}")
+    assert ("recorded efforts are missed by" in note) == ("without" in words)
+
+
+def test_a_coupled_wrist_is_given_up_where_there_are_no_tendons():
+    motors = sdpid.friction.Coupling("a", "b", width=0.05)
+    terms = ("coulomb", "viscous", "rotor_inertia", motors)
+    estimate = world.result(friction=terms, effects="none").estimate
+    values = np.array(estimate.theta)
+    values[-9:] = [0.3, 0.3, 0.2, 0.2, 0.5, 0.5, 0.1, 0.05, 0.2]
+    estimate = replace(estimate, theta=values)
+    without, held = (given_up(estimate, target) for target in ("isaac", "mujoco"))
+    assert "without Coupling" in without
+    assert "Coupling" not in held

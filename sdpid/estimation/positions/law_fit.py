@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -435,12 +435,10 @@ def fit_law(
     Raises
     ------
     DataError
-        When the target is not known, or a log is too short or has no commands.
+        When a log is too short or has no commands.
     SolverError
         When the robot does not follow its commands under this law.
     """
-    if target not in get_args(Target):
-        raise DataError(f"target: is {target!r}; use one of {', '.join(get_args(Target))}.")
     problem, stiction = estimate.problem, Stiction.mujoco()
     followed, others = (
         [

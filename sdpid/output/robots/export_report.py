@@ -15,9 +15,17 @@ from sdpid.assurance.diagnostics.described import Couplings, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.positions.law_fit import Target
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.robots.joint_friction import Kind, LeftOut, joint_attributes
-from sdpid.robot.friction.terms import Coulomb, Viscous
+from sdpid.output.robots.joint_friction import (
+    JointAttributes,
+    Kind,
+    LeftOut,
+    added,
+    crosswise,
+    joint_attributes,
+)
+from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 from sdpid.robot.model.model import RobotModel
 
 # Relative difference of two errors that are the same but for rounding and a solver's tolerance.
@@ -201,8 +209,9 @@ def file_errors(
     )
 
 
-# The attributes that a URDF has for friction.
+# The attributes that a URDF has for friction, and what others have for rotors.
 PLACES: dict[Kind, str] = {Coulomb: "friction", Viscous: "damping"}
+_OF_ROTORS = "armature"
 
 
 def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> ExportErrors | None:
@@ -221,18 +230,57 @@ def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> ExportErr
         None where no URDF can be written, or there are no rows.
     """
     problem, theta = estimate.problem, estimate.theta
-    robot = problem.robot
-    if theta is None or robot.urdf is None or problem.consistency == "none":
+    if theta is None or problem.robot.urdf is None or problem.consistency == "none":
         return None
     try:
-        written = joint_attributes(problem, theta, PLACES, "URDF").values
+        return _errors_with(estimate, joint_attributes(problem, theta, PLACES, "URDF"), samples)
     except ExportError:  # negative friction
         return None
+
+
+def _errors_with(
+    estimate: Estimate, friction: JointAttributes, samples: Samples | None = None
+) -> ExportErrors | None:
+    """Return the errors of an estimate with attributes in place of its friction."""
+    robot = estimate.problem.robot
     damping, dry = (np.array(each) for each in robot.described_friction())
+    armature = np.zeros(robot.n)
     for j, joint in enumerate(robot.joint_names):
-        values = written.get(joint, {})
+        values = friction.values.get(joint, {})
         dry[j] = values.get(PLACES[Coulomb], dry[j])
         damping[j] = values.get(PLACES[Viscous], damping[j])
-    seen = robot.with_gravity(estimate.model().tilted_gravity)
-    attributes = dry, damping, np.zeros(robot.n)
-    return file_errors(estimate, samples, robot=seen, attributes=attributes)
+        armature[j] = values.get(_OF_ROTORS, 0.0)
+    more = added(friction.tendons, robot.joint_names)
+    return file_errors(
+        estimate,
+        samples,
+        robot=robot.with_gravity(estimate.model().tilted_gravity),
+        attributes=(dry, damping + more[1], armature + more[0]),
+        couplings=crosswise(friction.tendons, robot.joint_names),
+    )
+
+
+def given_up(estimate: Estimate, target: Target) -> str:
+    """Return what a simulator's joints cannot hold of an estimate, and what that costs.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With standard parameters.
+    target : {"mujoco", "isaac", "urdf"}
+        Where it will be used.
+    """
+    places = PLACES if target == "urdf" else PLACES | {RotorInertia: _OF_ROTORS}
+    assert estimate.theta is not None
+    try:
+        friction = joint_attributes(
+            estimate.problem, estimate.theta, places, target, tendons=target == "mujoco"
+        )
+    except ExportError as reason:
+        return f"for {target}: {reason}"
+    errors = _errors_with(estimate, friction)
+    if errors is None or not (friction.left_out or friction.notes):
+        return f"for {target}: nothing is given up"
+    lost = [f"without {each}" for each in friction.left_out]
+    cost = f"recorded efforts are missed by {errors}{errors.warning}"
+    return f"for {target}: {'; '.join([*lost, *friction.notes, cost])}"

@@ -19,7 +19,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.diagnostics.described import described_coulomb, efforts_of_terms, rigid_efforts
+from sdpid.assurance.diagnostics.described import (
+    Couplings,
+    described_coulomb,
+    efforts_of_terms,
+    rigid_efforts,
+)
 from sdpid.errors import ExportError
 from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
@@ -370,6 +375,21 @@ def added(tendons: Iterable[MjcfTendon], joint_names: Sequence[str]) -> tuple[Ar
                 armature[joint_names.index(joint)] += factor**2 * each.armature
                 damping[joint_names.index(joint)] += factor**2 * each.damping
     return armature, damping
+
+
+def crosswise(tendons: Iterable[MjcfTendon], joint_names: Sequence[str]) -> Couplings:
+    """Return the crosswise inertia, viscous and dry friction of tendons by two joints.
+
+    Dry friction of the joints' sum alone: a `Coupling` has no other.
+    """
+    found: dict[tuple[str, str], Array] = {}
+    for each in tendons:
+        if {*each.joints} <= {*joint_names}:
+            sign = each.factors[0] * each.factors[1]
+            dry = each.frictionloss if each.factors == (1.0, 1.0) else 0.0
+            values = np.array([sign * each.armature, sign * each.damping, dry])
+            found[each.joints] = found.get(each.joints, np.zeros(3)) + values
+    return tuple((joints, (a, b, c)) for joints, (a, b, c) in found.items())
 
 
 class System(NamedTuple):

@@ -16,7 +16,7 @@ from sdpid.assurance.diagnostics.described import Couplings
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.export_report import ExportReport, file_errors
-from sdpid.output.robots.joint_friction import Kind, added, joint_attributes
+from sdpid.output.robots.joint_friction import Kind, added, crosswise, joint_attributes
 from sdpid.output.robots.mjcf_skeleton import inertial_values, mjcf_skeleton
 from sdpid.output.robots.position_tendons import BentFriction, tendon_elements
 from sdpid.output.robots.urdf import Urdf
@@ -411,18 +411,8 @@ class Mjcf(RobotText):
         return dry, damping + viscous, self.model.described_armature() + armature
 
     def couplings(self) -> Couplings:
-        """Return the crosswise inertia, viscous and dry friction of tendons by two joints.
-
-        Dry friction of the joints' sum alone: a `Coupling` has no other.
-        """
-        found: dict[tuple[str, str], Array] = {}
-        for each in self._source.tendons():
-            if {*each.joints} <= {*self.robot.joint_names}:
-                sign = each.factors[0] * each.factors[1]
-                dry = each.frictionloss if each.factors == (1.0, 1.0) else 0.0
-                values = np.array([sign * each.armature, sign * each.damping, dry])
-                found[each.joints] = found.get(each.joints, np.zeros(3)) + values
-        return tuple((joints, (a, b, c)) for joints, (a, b, c) in found.items())
+        """Return what tendons do crosswise."""
+        return crosswise(self._source.tendons(), self.robot.joint_names)
 
 
 def _own(element: Any, tag: str) -> Iterator[Any]:
