@@ -398,7 +398,7 @@ STYLES += ["{key}_{joint}", "{joint}_{key}", "/arm/{joint}/{key}"]
 @pytest.mark.parametrize("style", STYLES)
 @pytest.mark.parametrize("quantity", CHANNELS)
 def test_every_usual_name_is_found_in_every_style(quantity: str, style: str):
-    tables = dict(zip(CHANNELS, (logs.Q, logs.TAU, logs.DQ, logs.Q, logs.TAU), strict=True))
+    tables = dict(zip(CHANNELS, (logs.Q, logs.TAU, logs.DQ, logs.Q, logs.TAU, logs.Q), strict=True))
     for name in QUANTITIES[quantity].names:
         columns = {"t": logs.T}
         for channel, table in tables.items():
@@ -408,6 +408,7 @@ def test_every_usual_name_is_found_in_every_style(quantity: str, style: str):
         log = read_recording(pd.DataFrame(columns))
         logs.close(log, velocity=True, joints=TWO if "joint" in style else None)
         np.testing.assert_array_equal(log.reference, logs.Q)
+        np.testing.assert_array_equal(log.link_position, logs.Q)
 
 
 @pytest.mark.parametrize(("names", "tables", "how", "velocity", "joints"), FOUND)

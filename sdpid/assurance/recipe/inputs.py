@@ -11,7 +11,7 @@ import numpy as np
 
 from sdpid._common.files import Source
 from sdpid._common.tables import plain
-from sdpid.experiment.recording.recording import CHANNELS, Recording
+from sdpid.experiment.recording.recording import CHANNELS, OPTIONAL, Recording
 from sdpid.experiment.recording.stored import blocks
 from sdpid.robot.model.base_parameters import kinematics_digest
 from sdpid.robot.model.model import RobotModel
@@ -57,16 +57,15 @@ def file_entry(role: str, source: Source | None, of_numbers: str | None = None) 
 def recording_digest(log: Recording) -> str:
     """Return the SHA-256 of a recording's numbers: its names and periods, then its arrays.
 
-    Arrays count as their shape and little-endian doubles, row by row. A reference that is not
-    there does not count, nor do a base and contacts.
+    Arrays count as their shape and little-endian doubles, row by row. References and positions of
+    links that are not there do not count, nor do a base and contacts.
     """
     stated = plain({name: getattr(log, name) for name in ("period", "start", "periods")})
     stated["joints"] = plain(log.joint_names)
     stated |= log.settings()
     digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode("ascii"))
-    stated_always = CHANNELS[:3]
-    quantities = [x for x in CHANNELS if x in stated_always or getattr(log, x) is not None]
-    tables = {name: getattr(log, name) for name in ("time", *quantities)}
+    counted = [name for name in CHANNELS if name not in OPTIONAL or name in log.channels]
+    tables = {name: getattr(log, name) for name in ("time", *counted)}
     for floating in (log.base, log.contacts):
         tables |= {} if floating is None else floating.columns()
     for name, values in tables.items():

@@ -25,6 +25,7 @@ from sdpid.experiment.readers.names import (
     of_message,
     split_unit,
 )
+from sdpid.experiment.recording.recording import OPTIONAL
 from sdpid.experiment.recording.stored import StoredArray, check_memory
 
 # How names are made of a key, which is a name of the quantity, and of what they are: a folder, the
@@ -390,7 +391,7 @@ class Columns:
         if names is not None and not all(name.isdigit() for name in names):
             styles = ["labeled", "numbered", "suffixed"]
         for style in styles if row.names else ["numbered"]:
-            believed = explicit or (style == "numbered" and quantity != "reference")
+            believed = explicit or (style == "numbered" and quantity not in OPTIONAL)
             for key, unit, group in self._groups(style, quantity, row):
                 if key in arrays:
                     continue
@@ -437,7 +438,7 @@ class Columns:
     def _like(self, quantity: str, pattern: str) -> Iterator[tuple[re.Match[str], str]]:
         """Yield names that fit a pattern, or do behind their last /, but those of other units."""
         compiled, known = re.compile(pattern, re.IGNORECASE), UNITS.get(quantity, ())
-        once = quantity == "reference" or quantity in FLOATING
+        once = quantity in OPTIONAL or quantity in FLOATING
         taken = {name for names in self.used.values() for name in names if once}
         for name, text in self._plain.items():
             plain = None if quantity in self.given else self._of_message[name]

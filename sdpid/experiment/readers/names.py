@@ -109,6 +109,12 @@ QUANTITIES: dict[str, Quantity] = {
         {"N.m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN.m": 1e-3, "mNm": 1e-3, "N": 1.0},
         **{"nm": "N.m", "mnm": "mN.m"},
     ),
+    "link_position": _q(
+        "link_position link_positions link_q q_link link_angle load_position q_load "
+        "secondary_position position_secondary q_secondary secondary_q link_encoder",
+        _ANGLES,
+        **_IN_ANGLES,
+    ),
     "joint_names": _q("joint_names names", {}),
     "rate": _q("fs rate_hz rate sample_rate", {}),
     "period": _q("period", {}),

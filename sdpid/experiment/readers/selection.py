@@ -15,7 +15,7 @@ from sdpid.experiment.readers.columns import Columns, Found, LogTable
 from sdpid.experiment.readers.mapping import SETTINGS, Arguments
 from sdpid.experiment.readers.missing import sound
 from sdpid.experiment.readers.names import FLOATING, QUANTITIES
-from sdpid.experiment.recording.recording import CHANNELS
+from sdpid.experiment.recording.recording import CHANNELS, OPTIONAL
 from sdpid.experiment.recording.stored import transformed
 
 # ``q_d`` is the desired position in some logs and the derivative in others. What a controller
@@ -86,13 +86,17 @@ def select(file: Path, table: LogTable, how: Arguments) -> Selection:
     stored = log.names()
     for quantity in CHANNELS:
         joints = found.labels.get("position", how.joint_names or stored)
-        if quantity == "reference" and quantity not in how.columns:
+        if quantity in OPTIONAL and quantity not in how.columns:
             try:
-                _add_reference(log, found, joints)
+                if quantity == "feedforward":
+                    _add(log, found, quantity, joints)
+                else:
+                    (_add_reference if quantity == "reference" else _add_links)(log, found, joints)
             except DataError as cause:
-                # A log is never refused for a reference that nobody asked for.
-                found.left_out["reference"] = str(cause)
-                log.forget("reference")
+                # A log is never refused for what nobody asked for.
+                found.left_out[quantity] = str(cause)
+                found.tables.pop(quantity, None)
+                log.forget(quantity)
         elif not _add(log, found, quantity, joints) and quantity == "position":
             raise log.missing(quantity)
     if not {"effort", "reference"} & found.tables.keys():
@@ -210,6 +214,32 @@ def _add_reference(log: Columns, found: Selection, joints: Sequence[str] | None)
             raise DataError(f"{first[0]}: {why}; {remedy}")
         found.tables["reference"] = table
         found.labels |= {} if labels is None else {"reference": labels}
+
+
+def _add_links(log: Columns, found: Selection, joints: Sequence[str] | None) -> None:
+    """Add positions of links; joints without an encoder there keep the position of their motor.
+
+    Raises
+    ------
+    DataError
+        Saying why they are left out.
+    """
+    if not _add(log, found, "link_position", joints):
+        return
+    table, position = found.tables["link_position"], found.tables["position"]
+    labels, every = found.labels.pop("link_position", None), found.labels.get("position", joints)
+    first = log.used["link_position"][0]
+    if labels is not None and every is not None and set(labels) <= set(every):
+        columns = [every.index(label) for label in labels]
+        filled = np.array(position, dtype=np.float64)
+        if len(table) == len(filled):
+            filled[:, columns] = table
+            table = filled
+    if table.shape != position.shape:
+        raise DataError(f"{first}: it has the shape {table.shape}, positions {position.shape}")
+    if not sound(table):
+        raise DataError(f"{first}: it lacks values")
+    found.tables["link_position"] = table
 
 
 def _followed(table: NDArray[Any], position: NDArray[Any]) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import OPTIONAL, Recording
 from sdpid.experiment.recording.stored import extremes
 
 Timing = Literal["auto", "nominal", "resample"]
@@ -132,8 +132,8 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
     Returns
     -------
     log : Recording
-        Without such jumps, the reference whole turns from where it was; the same object where
-        there were none.
+        Without such jumps, references and links whole turns from where they were; the same object
+        where there were none.
     jumps : (n,) ndarray of int
         Jumps of each joint. A joint that also jumps by something between 1 rad and a turn
         less 1 rad is left alone: it is in another unit, or has outliers.
@@ -148,17 +148,17 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
             jumps[j] = np.count_nonzero(turns)
             position = np.array(log.position) if position is None else position
             position[1:, j] -= _TURN * np.cumsum(turns)
-    log = log if position is None else replace(log, position=position)
-    reference: Array | None = None
-    for j in range(0 if log.reference is None else log.n):
-        assert log.reference is not None
-        turns = np.rint((log.reference[:, j] - log.position[:, j]) / _TURN)
-        moved = log.reference[:, j] - _TURN * turns
-        # A reference in another unit, or of another joint, jumps where it leaves the position.
-        if turns.any() and np.abs(np.diff(moved)).max() <= _LARGEST_STEP:
-            reference = np.array(log.reference) if reference is None else reference
-            reference[:, j] = moved
-    return (log if reference is None else replace(log, reference=reference)), jumps
+    others: dict[str, Array] = {} if position is None else {"position": position}
+    straight = others.get("position", log.position)
+    for name in OPTIONAL:
+        table = getattr(log, name)
+        for j in range(0 if table is None else log.n):
+            turns = np.rint((table[:, j] - straight[:, j]) / _TURN)
+            moved = table[:, j] - _TURN * turns
+            # One in another unit, or of another joint, jumps where it leaves the position.
+            if turns.any() and np.abs(np.diff(moved)).max() <= _LARGEST_STEP:
+                others.setdefault(name, np.array(table))[:, j] = moved
+    return (replace(log, **others) if others else log), jumps
 
 
 def _in_time(log: Recording) -> tuple[Recording, list[str]]:

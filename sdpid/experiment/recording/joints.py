@@ -11,7 +11,7 @@ import numpy as np
 
 from sdpid._common.files import printable
 from sdpid.errors import DataError
-from sdpid.experiment.recording.recording import Recording, channels, renamed
+from sdpid.experiment.recording.recording import OPTIONAL, Recording, channels, renamed
 from sdpid.experiment.recording.stored import transformed
 from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.load import load_robot
@@ -156,7 +156,7 @@ def _with_passive_joints(robot: RobotModel, log: Recording, missing: tuple[str, 
     tables["effort"][:, [names.index(name) for name in robot.passive]] = 0.0
     if missing:
         tables["position"] = close_loops(robot, tables["position"], list(missing))
-        tables |= dict.fromkeys(("velocity", "reference"))
+        tables |= dict.fromkeys(("velocity", *OPTIONAL))
     return replace(log, joint_names=names, **tables)
 
 

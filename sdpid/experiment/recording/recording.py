@@ -30,7 +30,10 @@ from sdpid.experiment.recording.floating import (
 from sdpid.experiment.recording.stored import ROWS, StoredArray, extremes
 
 # What is measured, or commanded, of each joint.
-CHANNELS = ("position", "effort", "velocity", "reference", "feedforward")
+CHANNELS = ("position", "effort", "velocity", "reference", "feedforward", "link_position")
+# Those that no log is refused for, unless they are asked for by name, and that digests count where
+# they are there.
+OPTIONAL = CHANNELS[3:]
 
 # Where the metadata of a recording stand in Parquet files, and their version.
 KEY = b"sdpid"
@@ -82,6 +85,9 @@ class Recording(Sampled):
         Commanded joint positions in rad (m): what the controller was to follow.
     feedforward : (N, n) array_like, optional
         Commanded efforts in N·m (N), which the drives added to those of their law.
+    link_position : (N, n) array_like, optional
+        Positions of the links behind the gears in rad (m), from encoders of their own; `position`
+        is then that of the motors. A joint without such an encoder repeats its position.
     joint_names : sequence of str, optional
         One name a joint, in the order of the columns.
     period : float, optional
@@ -138,6 +144,7 @@ class Recording(Sampled):
     velocity: Array | None = samples("velocity", "names", what=EACH_JOINT)
     reference: Array | None = samples("reference", "names", what=EACH_JOINT)
     feedforward: Array | None = samples("feedforward", "names", what=EACH_JOINT)
+    link_position: Array | None = samples("link_position", "names", what=EACH_JOINT)
     joint_names: tuple[str, ...] | None = None
     period: float | None = None
     start: float | None = None
@@ -187,8 +194,11 @@ class Recording(Sampled):
             words.append(f"{layout[2]} periods of {self.period:.6g} s")
         if self.currents:
             words.append("efforts in A")
-        if self.reference is not None:
-            words.append("with reference")
+        words += [
+            f"with {name.replace('_', ' ')}"
+            for name in OPTIONAL
+            if getattr(self, name) is not None
+        ]
         if "effort" not in self.channels:
             words.append("no effort")
         if self.base is not None:
