@@ -49,6 +49,10 @@ _COMMANDED = re.compile(
     r"|(?:^|[_./])d[_./]?\[?\d+\]?$",
     re.IGNORECASE,
 )
+# Words in labels of a joint's other encoder, where the joint has a column without them too.
+_SECOND = re.compile(
+    r"^(?:link|load|secondary)[_./\s-]|[_./\s-](?:link|load|secondary)$", re.IGNORECASE
+)
 # A second derivative: beside it q_d is the first.
 _DERIVATIVE = re.compile(r"(?:^|.*[_./\s-])q_?dd(?:ot)?(?:[_./\s\[-]?\d+\]?)?", re.IGNORECASE)
 # Effort is often logged as a current, which is no torque before it is scaled.
@@ -392,13 +396,16 @@ class Columns:
             styles = ["labeled", "numbered", "suffixed"]
         for style in styles if row.names else ["numbered"]:
             believed = explicit or (style == "numbered" and quantity not in OPTIONAL)
-            for key, unit, group in self._groups(style, quantity, row):
+            groups = list(self._groups(style, quantity, row))
+            labels = {label for _, _, group in groups for label in group}
+            for key, unit, group in groups:
                 if key in arrays:
                     continue
                 for label, name in list(group.items()):
                     commanded = style != "numbered" and _COMMANDED.search(label)
                     others = commanded and not explicit and label not in (names or ())
-                    if others or not (believed or self._is_column(name)):
+                    second = _SECOND.search(label) and _SECOND.sub("", label) in labels
+                    if others or second or not (believed or self._is_column(name)):
                         del group[label]
                 if group and (believed or self._fits(group)):
                     yield _ordered(group, names, unit, by_number=style != "labeled")
