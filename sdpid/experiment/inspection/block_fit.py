@@ -9,7 +9,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 
 # Stretches of a recording whose errors count as independent.
-_BLOCKS = 20
+BLOCKS = 20
 # What is this many standard errors from 0 is sure.
 SURE = 5.0
 # Directions count whose error is below this share of what matters.
@@ -18,7 +18,7 @@ _KNOWN = 0.5
 
 def block_error(scores: Array) -> Array:
     """Return the standard error of the sum of scores (N, ...) over their rows."""
-    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, _BLOCKS)])
+    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
     return np.asarray(np.sqrt(np.sum(sums**2, axis=0)))
 
 
@@ -80,7 +80,7 @@ def block_fit(columns: Array, signal: Array, scale: Array) -> BlockFit:
     Coefficients of the size `scale` (p,) are as large as any can be: directions that the data do
     not show are known to be within it. Rows of zeros are none.
     """
-    parts = zip(np.array_split(columns, _BLOCKS), np.array_split(signal, _BLOCKS), strict=True)
+    parts = zip(np.array_split(columns, BLOCKS), np.array_split(signal, BLOCKS), strict=True)
     flat = [(A.reshape(-1, A.shape[-1]), y.ravel()) for A, y in parts]
     each, right = np.array([A.T @ A for A, _ in flat]), np.array([A.T @ y for A, y in flat])
     whole, total, power = each.sum(axis=0), right.sum(axis=0), float(np.sum(signal**2))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sdpid._common.arrays import Mask
 from sdpid._common.files import printable
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import OPTIONAL, Recording, channels, renamed
@@ -16,6 +17,19 @@ from sdpid.experiment.recording.stored import transformed
 from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+
+
+# Gears give way by far less than this share of the motion.
+FOLLOWS = 0.05
+
+
+def two_encoders(log: Recording) -> Mask:
+    """Return which joints have an encoder at the link that follows the motor's, (n,)."""
+    if log.link_position is None:
+        return np.zeros(log.n, dtype=bool)
+    motor, link = np.asarray(log.position), np.asarray(log.link_position)
+    off = (motor - link).std(axis=0)
+    return np.asarray((off > 0.0) & (off < FOLLOWS * motor.std(axis=0)))
 
 
 def match_joints(robot: RobotModel, log: Recording) -> Recording:

@@ -1,0 +1,1 @@
+"""Elasticity of gears, from encoders on both of their sides."""
