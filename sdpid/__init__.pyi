@@ -13,6 +13,7 @@ from .assurance.tables.audit import audit_base_parameters
 from .estimation.closed_loop.bias import check_bias
 from .estimation.closed_loop.solve import solve_instrumental, solve_output_error
 from .estimation.constraints.constraints import Constraints
+from .estimation.elasticity.identify import identify_elasticity
 from .estimation.local.log_cholesky import solve_log_cholesky
 from .estimation.local.slsqp import solve_slsqp
 from .estimation.prior.prior import Prior
@@ -94,6 +95,7 @@ __all__ = [
     "friction",
     "identify",
     "identify_drive_gains",
+    "identify_elasticity",
     "identify_payload",
     "inspect_recording",
     "load",

@@ -89,7 +89,7 @@ class Elasticity(Shown):
         Parameters
         ----------
         log : Recording
-            Without gaps; of links' positions only lines of their encoders need more than motors'.
+            Of positions of links only lines of their encoders need more than those of motors.
 
         Returns
         -------

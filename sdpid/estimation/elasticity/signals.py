@@ -52,7 +52,7 @@ def runs_of(estimate: Estimate, log: Recording, joints: Indices, rotors: Array) 
     estimate : Estimate
         The rigid robot, whose links and rotors move as the motors do.
     log : Recording
-        With positions of links.
+        With positions of links; without, those of motors stand for them.
     joints : ndarray of int, shape (m,)
         Those with an encoder at the link.
     rotors : ndarray, shape (n,)
@@ -70,9 +70,10 @@ def _run(
     from scipy.interpolate import CubicSpline
 
     robot, theta, grid = estimate.problem.robot, estimate.some_theta, make_grid(log)
+    links = log.link_position
     motor, link = (
         np.stack([grid.read(column, 0, grid.count) for column in np.asarray(table).T], axis=1)
-        for table in (log.position, log.link_position)
+        for table in (log.position, log.position if links is None else links)
     )
     smooth = low_pass("butterworth", cutoff_hz, 4, 1.0 / grid.step).whole(motor)
     time = grid.step * np.arange(grid.count)
@@ -83,9 +84,9 @@ def _run(
     torque, sums = np.empty((grid.count, len(joints))), np.zeros((2, len(joints), len(theta)))
     for first in range(0, grid.count, _CHUNK):
         rows = slice(first, first + _CHUNK)
-        links = robot.regressor(smooth[rows], velocity[rows], acceleration[rows])[:, joints]
-        columns = np.zeros((*links.shape[:2], len(theta)))
-        columns[:, :, : links.shape[2]] = links
+        bodies = robot.regressor(smooth[rows], velocity[rows], acceleration[rows])[:, joints]
+        columns = np.zeros((*bodies.shape[:2], len(theta)))
+        columns[:, :, : bodies.shape[2]] = bodies
         for row, column in drives:
             if column is not None:
                 columns[:, row, column] = acceleration[rows, joints[row]]

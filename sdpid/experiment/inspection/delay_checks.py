@@ -15,11 +15,13 @@ from sdpid.experiment.inspection.delays import (
     channel_delays,
     delay_step,
     is_significant,
+    lag,
 )
-from sdpid.experiment.inspection.kinds import KINDS, Finding, found, warning
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, warning
 from sdpid.experiment.inspection.rows import FilteredRows, follows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.on_time import CHANNELS
+from sdpid.experiment.recording.joints import FOLLOWS, two_encoders
 from sdpid.experiment.recording.plausible import moving
 
 _LATE = partial(warning, "{what}", "{remedy}", about="late")
@@ -33,6 +35,12 @@ KINDS.update(
     effort_late=_LATE(excuses=True),
     imu_late=_LATE(),
     base_late=_LATE(),
+    link_late=note("{what}", "{remedy}", about="late"),
+    link_unlike=note(
+        "position of the link of {joint} is off that of its motor by {share:.2g} of the motion, "
+        "limit {limit:g}: it is of another joint, or in another unit",
+        "leave it out: a joint without an encoder at its link repeats its position",
+    ),
     # Forces that are late differ from those of their time.
     contacts_late=_LATE(hides=("forces_unlike_motion",)),
 )
@@ -50,6 +58,8 @@ _LEAST_JOINTS = 2
 # leave; or this of what those leave and what the described links do, with delays this close (s). Of
 # 116 joints of good recordings none is.
 _LEAST_ALONE, _TAKES_ALONE, _ALSO_TAKES, _ALIKE = 0.025, 0.6, 0.5, 0.02
+# Samples of encoders that are compared.
+_READ = 200_000
 # Directions of the regressor with less than this share of the largest singular value are noise.
 _RANK = 1e-3
 # Rows that are left beside the columns, at least.
@@ -80,6 +90,44 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
         words = {"joints": ", ".join(lags), "late": _late(worst)}
         numbers = {"size": abs(worst), "delay": worst, "limit": limit}
         yield found("velocity_late", joint, subject.about_velocity, **words, **numbers)
+
+
+@check
+def late_links(subject: Subject) -> Iterator[Finding]:
+    """Find encoders at links that are late against those of motors, or follow other joints."""
+    if subject.log.link_position is None or not subject.pieces:
+        return
+    log = subject.longest
+    both = two_encoders(log)
+    assert log.link_position is not None  # pieces have what the recording has
+    rows = slice(0, _READ)
+    motor, link = np.asarray(log.position[rows]), np.asarray(log.link_position[rows])
+    for j in np.flatnonzero(~both & np.any(motor != link, axis=0)).tolist():
+        share = float((motor - link)[:, j].std() / max(motor[:, j].std(), np.finfo(float).tiny))
+        yield found("link_unlike", log.names[j], share=share, limit=FOLLOWS)
+    delay = lag(motor[:, both], link[:, both], log.step) if both.any() else None
+    if delay is None or not (late := -delay.value) or abs(late) < SURE * delay.error:
+        return
+    difference = motor[:, both] - link[:, both]
+    left = difference - late * np.gradient(motor[:, both], log.step, axis=0)
+    share = 1.0 - float(np.mean(left.var(axis=0) / difference.var(axis=0)))
+    what = (
+        f"encoders at links are {_late(late)} by {1e3 * abs(late):.3g} ms (error "
+        f"{1e3 * delay.error:.2g} ms) against those at motors: that explains "
+        f"{100.0 * share:.3g} % of what lies between them, which is then no elasticity"
+    )
+    rows_of_speed, speed = subject.low_passed, ""
+    if rows_of_speed is not None and rows_of_speed.recorded_velocity is not None:
+        signals = (rows_of_speed.recorded_velocity, rows_of_speed.velocity)
+        fits = [
+            follows(*(each[:, j] for each in (*signals, rows_of_speed.acceleration)))["lag"]
+            for j in np.flatnonzero(both).tolist()
+        ]
+        size = -float(np.median(fits))
+        speed = f"; the recorded velocity is {_late(size)} by {1e3 * abs(size):.2g} ms"
+    remedy = f"identify_elasticity takes this delay off by itself{speed}"
+    numbers = {"delay": late, "error": delay.error, "share": share}
+    yield found("link_late", what=what, remedy=remedy, **numbers)
 
 
 @check_of_efforts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,7 +148,7 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
             jumps[j] = np.count_nonzero(turns)
             position = np.array(log.position) if position is None else position
             position[1:, j] -= _TURN * np.cumsum(turns)
-    others: dict[str, Array] = {} if position is None else {"position": position}
+    others: dict[str, Any] = {} if position is None else {"position": position}
     straight = others.get("position", log.position)
     for name in OPTIONAL:
         table = getattr(log, name)

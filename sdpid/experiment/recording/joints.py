@@ -18,7 +18,6 @@ from sdpid.robot.model.closure import close_loops
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
-
 # Gears give way by far less than this share of the motion.
 FOLLOWS = 0.05
 

@@ -195,9 +195,7 @@ class Recording(Sampled):
         if self.currents:
             words.append("efforts in A")
         words += [
-            f"with {name.replace('_', ' ')}"
-            for name in OPTIONAL
-            if getattr(self, name) is not None
+            f"with {name.replace('_', ' ')}" for name in OPTIONAL if getattr(self, name) is not None
         ]
         if "effort" not in self.channels:
             words.append("no effort")
