@@ -331,19 +331,21 @@ def _fill(tree: Any, links: Indices, places: Array, offsets: Array, q: Array, ou
                 for j in range(6 if floats else 1):
                     s = unit[j % 3] if floats else axis[i]
                     sx, sy, sz = s[0], s[1], s[2]
-                    c, h = factor[first_v[i] + j], column[first_v[i] + j]
-                    ax = c * (R[i, 0, 0] * sx + R[i, 0, 1] * sy + R[i, 0, 2] * sz)
-                    ay = c * (R[i, 1, 0] * sx + R[i, 1, 1] * sy + R[i, 1, 2] * sz)
-                    az = c * (R[i, 2, 0] * sx + R[i, 2, 1] * sy + R[i, 2, 2] * sz)
-                    if kind[i] == PRISMATIC or (floats and j < 3):
-                        out[k, f, 0, h] += ax
-                        out[k, f, 1, h] += ay
-                        out[k, f, 2, h] += az
-                    else:
-                        out[k, f, 0, h] += ay * rz - az * ry
-                        out[k, f, 1, h] += az * rx - ax * rz
-                        out[k, f, 2, h] += ax * ry - ay * rx
-                        out[k, f, 3, h] += ax
-                        out[k, f, 4, h] += ay
-                        out[k, f, 5, h] += az
+                    ax = R[i, 0, 0] * sx + R[i, 0, 1] * sy + R[i, 0, 2] * sz
+                    ay = R[i, 1, 0] * sx + R[i, 1, 1] * sy + R[i, 1, 2] * sz
+                    az = R[i, 2, 0] * sx + R[i, 2, 1] * sy + R[i, 2, 2] * sz
+                    slides = kind[i] == PRISMATIC or (floats and j < 3)
+                    for w in range(column.shape[1]):
+                        c, h = factor[first_v[i] + j, w], column[first_v[i] + j, w]
+                        if slides:
+                            out[k, f, 0, h] += c * ax
+                            out[k, f, 1, h] += c * ay
+                            out[k, f, 2, h] += c * az
+                        else:
+                            out[k, f, 0, h] += c * (ay * rz - az * ry)
+                            out[k, f, 1, h] += c * (az * rx - ax * rz)
+                            out[k, f, 2, h] += c * (ax * ry - ay * rx)
+                            out[k, f, 3, h] += c * ax
+                            out[k, f, 4, h] += c * ay
+                            out[k, f, 5, h] += c * az
                 i = parent[i]

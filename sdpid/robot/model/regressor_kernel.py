@@ -68,12 +68,12 @@ class Tree(NamedTuple):
         Pinocchio's first position and velocity coordinate of each joint.
     unbounded : ndarray of bool, shape (links,)
         Whether a joint's position is a cosine and a sine.
-    column : ndarray of int, shape (nv,)
-        The robot's coordinate that moves each of Pinocchio's.
-    factor : ndarray, shape (nv,)
-        How fast: 1 but for mimic joints.
+    column : ndarray of int, shape (nv, w)
+        The robot's coordinates that move each of Pinocchio's: one but behind a transmission.
+    factor : ndarray, shape (nv, w)
+        How fast: 1 but for mimic joints and transmissions; 0 for none.
     shared : ndarray of bool, shape (nv,)
-        Whether several of Pinocchio's coordinates move with the same one of the robot's.
+        Whether a coordinate of Pinocchio's is not one of the robot's by itself.
     turn : ndarray, shape (links, 3, 3, 3)
         Rotation of a joint's frame in its parent's: ``turn[0] cos + turn[1] sin + turn[2]``.
     place : ndarray, shape (links, 2, 3)
@@ -146,16 +146,20 @@ def flatten(model: Any, expansion: Array) -> Tree:
                 "supported are revolute, continuous and prismatic joints."
             )
     joints = list(model.joints)[1:]
-    column = np.argmax(expansion != 0.0, axis=1)
+    moved = expansion != 0.0
+    width = max(1, int(moved.sum(axis=1).max(initial=0)))
+    column = np.argsort(~moved, axis=1, kind="stable")[:, :width]
+    factor = np.take_along_axis(expansion, column, axis=1)
+    plain = (moved.sum(axis=1) == 1) & (factor[:, 0] == 1.0)
     return Tree(
         kind=kind,
         parent=np.array([model.parents[i + 1] - 1 for i in range(links)], dtype=np.intp),
         first_q=np.array([joint.idx_q for joint in joints], dtype=np.intp),
         first_v=np.array([joint.idx_v for joint in joints], dtype=np.intp),
         unbounded=np.array([joint.nq == 2 for joint in joints]),
-        column=column.astype(np.intp),
-        factor=expansion[np.arange(len(column)), column].copy(),
-        shared=np.bincount(column, minlength=expansion.shape[1])[column] > 1,
+        column=np.ascontiguousarray(column, dtype=np.intp),
+        factor=np.ascontiguousarray(factor),
+        shared=~(plain & (moved.sum(axis=0)[column[:, 0]] == 1)),
         turn=turn,
         place=place,
         axis=axis,
@@ -296,8 +300,8 @@ def _say(what: str) -> None:
 NOTHING = Tree(
     *(np.zeros(0, dtype=np.intp),) * 4,
     unbounded=np.zeros(0, dtype=np.bool_),
-    column=np.zeros(0, dtype=np.intp),
-    factor=np.zeros(0),
+    column=np.zeros((0, 0), dtype=np.intp),
+    factor=np.zeros((0, 0)),
     shared=np.zeros(0, dtype=np.bool_),
     turn=np.zeros((0, 3, 3, 3)),
     place=np.zeros((0, 2, 3)),
@@ -469,20 +473,20 @@ def _fill(
                 lx, ly, lz = S[i, j, 0], S[i, j, 1], S[i, j, 2]
                 ux, uy, uz = S[i, j, 4], S[i, j, 5], S[i, j, 6]
                 m, to = moves[i, j], 10 * i
-                h, f = column[m], factor[m]
                 f0, f1, f2, f3 = four(M[i], 0, lx, ly, lz)
                 m0, m1, m2, m3 = four(M[i, 3:], 0, ux, uy, uz)
                 m4, m5, m6, m7 = four(M[i, 3:], 4, ux, uy, uz)
                 m8, m9, _, _ = four(M[i, 3:], 8, ux, uy, uz)
                 direct = whole and not shared[m]
                 # Straight into the block: a row in between takes an eighth of the time.
-                own = out[k, h, to : to + 10] if direct else row
+                own = out[k, column[m, 0], to : to + 10] if direct else row
                 own[0], own[1], own[2], own[3] = f0 + m0, f1 + m1, f2 + m2, f3 + m3
                 own[4], own[5], own[6], own[7], own[8], own[9] = m4, m5, m6, m7, m8, m9
                 if direct:
                     continue
-                # Of a coordinate that moves one joint alone the factor is one.
                 for t in range(first[i], first[i + 1]):
-                    out[k, h, route[wanted[t]]] += f * row[wanted[t] - to]
+                    value = row[wanted[t] - to]
+                    for w in range(column.shape[1]):
+                        out[k, column[m, w], route[wanted[t]]] += factor[m, w] * value
         for e in range(len(extra_row)):
             out[k, extra_row[e], extra_column[e]] = extra[k, e]
