@@ -49,6 +49,7 @@ from .output.tables.parameters_file import read_parameters, write_parameters
 from .robot.description.dh_table import DhTable
 from .robot.model.load import load_robot
 from .robot.model.model import RobotModel
+from .robot.model.transmission import Transmission
 from .workflow.comparison import compare
 from .workflow.formulate import adapt, cross_validate
 from .workflow.identify import identify
@@ -75,6 +76,7 @@ __all__ = [
     "RobotModel",
     "Samples",
     "Trajectory",
+    "Transmission",
     "__version__",
     "adapt",
     "audit_base_parameters",

@@ -5,6 +5,7 @@ term objects. A term of your own is a `JointwiseTerm` with its own ``shape``, or
 """
 
 from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
+from sdpid.robot.friction.position import AtJoints, Hysteresis, PositionTerm, Spring
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter, TermParameter
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
@@ -20,16 +21,20 @@ from sdpid.robot.friction.terms import (
 
 __all__ = [
     "AsymmetricCoulomb",
+    "AtJoints",
     "Coulomb",
     "Coupling",
     "FrictionTerm",
+    "Hysteresis",
     "JointwiseTerm",
     "LoadFriction",
     "Offset",
     "OpenParameter",
     "PositionFriction",
+    "PositionTerm",
     "RotorInertia",
     "SigmoidFriction",
+    "Spring",
     "SquareRootFriction",
     "Stribeck",
     "TermParameter",

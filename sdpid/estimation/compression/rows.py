@@ -253,10 +253,14 @@ def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 
         # The coordinates of a floating base come first, and have no friction.
         return samples.through_filter(lambda v, a: function(v[:, first:], a[:, first:]), part, key)
 
+    def through_path(function: Callable[[Array], Array]) -> Array:
+        return np.concatenate([function(samples.position[each]) for each in samples.parts])[part]
+
     return SampledMotion(
         position=samples.position[part],
         velocity=samples.velocity[part][:, first:],
         acceleration=samples.acceleration[part][:, first:],
         robot=robot,
         through_filter=None if samples.wide is None else through_filter,
+        through_path=through_path,
     )

@@ -71,6 +71,9 @@ class SampledMotion:
         and accelerations at a rate and a band well above the filter's, and a key under which its
         values (K, ...) are kept for the next call, if any. None where there was no filter:
         friction then is that at the samples' own velocities.
+    through_path : callable or None
+        How functions of positions in the order of time, from (K, n) to (K, ...), see those before
+        these samples too; None where these are all.
     """
 
     position: Array
@@ -78,6 +81,13 @@ class SampledMotion:
     acceleration: Array
     robot: Any
     through_filter: Callable[[OfMotion, Hashable | None], Array] | None = None
+    through_path: Callable[[Callable[[Array], Array]], Array] | None = None
+
+    def along(self, function: Callable[[Array], Array]) -> Array:
+        """Return a function of the positions so far, (K, ...)."""
+        if self.through_path is None:
+            return function(self.position)
+        return self.through_path(function)
 
     def filtered(self, function: OfMotion, key: Hashable | None = None) -> Array:
         """Return a nonlinear function of the motion (K, ...), as it stands in the efforts.
@@ -115,11 +125,13 @@ class TermParameter:
     deviation : float or None
         Standard deviation about zero that it is believed to have, in its unit; None for one that
         follows the size of the efforts (see `sdpid.estimation.prior`).
+    value : float or None
+        Its value where that is known.
 
     Examples
     --------
     >>> sdpid.friction.Coulomb().parameters(("shoulder", "elbow"))[1]
-    TermParameter(name='Fs2', unit='N.m', nonnegative=True, joint=1, deviation=None)
+    TermParameter(name='Fs2', unit='N.m', nonnegative=True, joint=1, deviation=None, value=None)
     """
 
     name: str
@@ -127,6 +139,7 @@ class TermParameter:
     nonnegative: bool
     joint: int
     deviation: float | None = None
+    value: float | None = None
 
 
 class EffortCurve(NamedTuple):

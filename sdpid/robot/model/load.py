@@ -18,6 +18,7 @@ from sdpid.robot.description.urdf import pinocchio_from_urdf
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import Description, is_mjcf, is_xml, read_description
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.transmission import Transmission
 
 Root = Literal["free_flyer"]
 
@@ -28,6 +29,7 @@ def load_robot(
     root: Root | None = None,
     gravity: Sequence[float] | None = None,
     xacro_args: Mapping[str, str] | None = None,
+    transmission: Any = None,
 ) -> RobotModel:
     """Load a robot.
 
@@ -52,6 +54,9 @@ def load_robot(
         Gravity in the base link; by default (0, 0, -9.81) m/s², or the model's or the MJCF's own.
     xacro_args : mapping, optional
         Values of the arguments of a xacro file.
+    transmission : Transmission, mapping, or path of a TOML file, optional
+        How the joints follow the motors, where recordings are of these (see
+        docs/guides/transmissions.md).
 
     Returns
     -------
@@ -78,7 +83,7 @@ def load_robot(
     if not isinstance(source, (str, os.PathLike)):
         if root is not None:
             raise ModelError("root: a pinocchio.Model already has its root; leave it out.")
-        return RobotModel.from_pinocchio(source, gravity=gravity)
+        return _behind(RobotModel.from_pinocchio(source, gravity=gravity), transmission)
     found, default_gravity = _find(source)
     if gravity is None:
         gravity = default_gravity
@@ -112,7 +117,13 @@ def load_robot(
         facts["loops"] = add_loops(model, urdf_closures(described, found.what), found.what)
         robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
         passive = urdf_passive(described, found.what)
-    return replace(robot, **facts, passive=tuple(passive), assembled=tuple(passive.values()))
+    found_robot = replace(robot, **facts, passive=tuple(passive), assembled=tuple(passive.values()))
+    return _behind(found_robot, transmission)
+
+
+def _behind(robot: RobotModel, transmission: Any) -> RobotModel:
+    """Return a robot behind a transmission, if there is one."""
+    return robot if transmission is None else Transmission.of(transmission).applied(robot)
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

@@ -276,6 +276,11 @@ class RobotModel:
         """Units of the 10·links inertial parameters."""
         return PARAMETER_UNITS * self.n_links
 
+    @property
+    def tree_joints(self) -> tuple[str, ...]:
+        """Names of Pinocchio's nv coordinates: joints behind a transmission are among them."""
+        return tuple(coordinate_names(self.pin_model))
+
     def single_joints(self) -> list[tuple[int, Any]]:
         """Return (column, Pinocchio joint) of each coordinate that is one joint of its own."""
         columns = {name: j for j, name in enumerate(self.joint_names)}

@@ -1,0 +1,337 @@
+"""Terms of the position, of its history, and terms on the joints behind a transmission."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ModelError
+from sdpid.robot.friction.posed import PosedTerm
+from sdpid.robot.friction.term import FrictionTerm, OfMotion, SampledMotion, TermParameter
+
+# The number of a joint at the end of a parameter's name.
+_NUMBER = re.compile(r"\d+$")
+
+
+@dataclass(frozen=True)
+class _AtJoint(FrictionTerm):
+    """A base of terms that act on one joint, at any speed."""
+
+    # A joint whose position is recorded, or one behind a transmission.
+    joint: ClassVar[str]
+    posed: ClassVar[bool] = True
+
+    columns = PosedTerm.columns
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return the parameters, called by the joint's number, or its name where it has none."""
+        known = self.joint in joint_names
+        place = joint_names.index(self.joint) if known else 0
+        end = str(place + 1) if known else f"_{self.joint}"
+        return tuple(
+            TermParameter(f"{symbol}{end}", unit, nonnegative, place, value=self._known(symbol))
+            for symbol, unit, nonnegative in self._symbols()
+        )
+
+    def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
+        """Return symbol, unit and whether it is not negative of every parameter."""
+        raise NotImplementedError
+
+    def _known(self, symbol: str) -> float | None:
+        """Return the value of a parameter that is known."""
+        return None
+
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
+        """Return the shapes of the joint's position, on the joints that move it."""
+        direction, offset = _direction(type(self).__name__, self.joint, motion.robot, joint_names)
+        first = motion.robot.n_base
+
+        def shapes(positions: Array) -> Array:
+            return self._shapes(positions[:, -len(direction) :] @ direction + offset)
+
+        if first:
+            raise ModelError(
+                f"{type(self).__name__}: the base of '{motion.robot.name}' floats; leave it out."
+            )
+        return np.asarray(motion.along(shapes)[:, None, :] * direction[:, None])
+
+    def _shapes(self, position: Array) -> Array:
+        """Return the efforts (K, parameters) of parameters of one at positions (K,) in time."""
+        raise NotImplementedError
+
+
+def _direction(
+    what: str, joint: str, robot: Any, joint_names: Sequence[str]
+) -> tuple[Array, float]:
+    """Return how a joint's position follows the recorded ones: factors (n,) and an offset."""
+    if joint in joint_names:
+        return np.eye(len(joint_names))[joint_names.index(joint)], 0.0
+    rows = dict(
+        zip(robot.tree_joints, zip(robot.expansion, robot.offset, strict=True), strict=True)
+    )
+    if joint not in rows:
+        behind = [name for name in rows if name not in joint_names]
+        more = f", behind its transmission {', '.join(behind)}" if behind else ""
+        raise ModelError(
+            f"{what}: the robot has no joint '{joint}'; it has {', '.join(joint_names)}{more}."
+        )
+    factors, offset = rows[joint]
+    return factors, float(offset)
+
+
+@dataclass(frozen=True)
+class Spring(_AtJoint):
+    """A linear spring about a joint: the effort ``K·(q − rest)`` holds against it.
+
+    Attributes
+    ----------
+    joint : str
+        A joint whose position is recorded, or one behind a transmission.
+    stiffness : float, optional
+        Where it is known, N·m/rad (N/m).
+    rest : float, optional
+        Position at which it is slack, where that is known, rad (m). Where it is not, the parameter
+        Kr is stiffness times rest, N·m.
+
+    Examples
+    --------
+    >>> spring = sdpid.friction.Spring("joint_2", rest=0.1)
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", spring))
+    >>> problem.base.names[-1]
+    'K2'
+    """
+
+    joint: str  # type: ignore[misc]
+    stiffness: float | None = None
+    rest: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "rest"):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise ModelError(f"Spring: {name} is {value!r:.80}; give a finite number.")
+        if self.stiffness is not None and self.stiffness < 0.0:
+            raise ModelError(
+                f"Spring: stiffness is {self.stiffness}, the least is 0; a PositionTerm may push "
+                "away from a position."
+            )
+
+    def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
+        own = (("K", "N.m/rad", True), ("Kr", "N.m", False))
+        return own if self.rest is None else own[:1]
+
+    def _known(self, symbol: str) -> float | None:
+        return self.stiffness if symbol == "K" else None
+
+    def _shapes(self, position: Array) -> Array:
+        if self.rest is not None:
+            return (position - self.rest)[:, None]
+        return np.stack([position, -np.ones_like(position)], axis=1)
+
+
+@dataclass(frozen=True)
+class PositionTerm(_AtJoint):
+    """Efforts that are known functions of a joint's position: a cable, a counterbalance, cogging.
+
+    Attributes
+    ----------
+    function : callable, or pair of tuples of float
+        Takes positions (K,) and returns efforts (K,), or (K, m) of m parameters. Or a table of
+        positions, rising, and efforts, linear in between and constant beyond.
+    name : str
+        What the parameters are called: of several, letters follow.
+    joint : str
+        A joint whose position is recorded, or one behind a transmission.
+    count : int
+        Number of parameters.
+    unit : str
+        Their unit: "1" where the function returns N·m (N).
+    nonnegative : bool
+        Whether they cannot be negative.
+    value : float, optional
+        That of the parameter, where it is known.
+
+    Examples
+    --------
+    >>> cable = sdpid.friction.PositionTerm(np.sin, "cable", joint="joint_4")
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", cable))
+    >>> problem.base.names[-1]
+    'cable4'
+    """
+
+    function: Callable[[Array], Array] | tuple[tuple[float, ...], tuple[float, ...]]
+    name: str
+    joint: str  # type: ignore[misc]
+    count: int = 1
+    unit: str = "1"
+    nonnegative: bool = False
+    value: float | None = None
+
+    def __post_init__(self) -> None:
+        if callable(self.function):
+            return
+        try:
+            table = np.asarray(self.function, dtype=np.float64)
+        except (TypeError, ValueError):
+            table = np.zeros(0)
+        if table.ndim != 2 or len(table) != 2 or not np.isfinite(table).all():
+            raise ModelError(
+                f"PositionTerm {self.name}: function is {self.function!r:.80}; give a function of "
+                "positions, or two tuples of as many finite numbers: positions and efforts."
+            )
+        if not (np.diff(table[0]) > 0.0).all():
+            raise ModelError(f"PositionTerm {self.name}: the positions of its table do not rise.")
+        rows = tuple(tuple(float(x) for x in row) for row in table)
+        object.__setattr__(self, "function", rows)
+
+    def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
+        names = (
+            [self.name]
+            if self.count == 1
+            else [f"{self.name}{chr(97 + k)}" for k in range(self.count)]
+        )
+        return tuple((name, self.unit, self.nonnegative) for name in names)
+
+    def _known(self, symbol: str) -> float | None:
+        return self.value
+
+    def _shapes(self, position: Array) -> Array:
+        found = (
+            self.function(position)
+            if callable(self.function)
+            else np.interp(position, *self.function)
+        )
+        shapes = np.asarray(found, dtype=np.float64).reshape(len(position), -1)
+        if shapes.shape[1] != self.count or not np.isfinite(shapes).all():
+            raise ModelError(
+                f"PositionTerm {self.name}: its function returned the shape {np.shape(found)} for "
+                f"{len(position)} positions; give {self.count} finite value(s) each."
+            )
+        return shapes
+
+
+@dataclass(frozen=True)
+class Hysteresis(_AtJoint):
+    """Dry friction that builds up over a way: springs in parallel that slip, one behind the other.
+
+    An element of weight F pulls by ``F·(q − z)/slip``, where z follows q at a distance of at most
+    `slip`. Weights are not negative, so that it takes energy up.
+
+    Attributes
+    ----------
+    joint : str
+        A joint whose position is recorded, or one behind a transmission.
+    slips : tuple of float
+        Ways after which the elements slip, rad (m).
+
+    Examples
+    --------
+    >>> soft = sdpid.friction.Hysteresis("joint_4", (0.02, 0.1))
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", soft))
+    >>> problem.base.names[-2:]
+    ('Fha4', 'Fhb4')
+    """
+
+    joint: str  # type: ignore[misc]
+    slips: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not self.slips or not all(np.isfinite(slip) and slip > 0.0 for slip in self.slips):
+            raise ModelError(f"Hysteresis: slips are {self.slips!r:.80}; give positive numbers.")
+
+    def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
+        return tuple((f"Fh{chr(97 + k)}", "N.m", True) for k in range(len(self.slips)))
+
+    def _shapes(self, position: Array) -> Array:
+        return np.stack([(position - play(position, s)) / s for s in self.slips], axis=1)
+
+
+def play(position: Array, slip: float) -> Array:
+    """Return what follows a signal (K,) at a distance of at most a slip."""
+    followed, now = np.empty(len(position)), float(position[0]) if len(position) else 0.0
+    for k, value in enumerate(position.tolist()):
+        now = min(max(now, value - slip), value + slip)
+        followed[k] = now
+    return followed
+
+
+@dataclass(frozen=True)
+class AtJoints(FrictionTerm):
+    """A term on joints behind a transmission, in place of those whose positions are recorded.
+
+    Attributes
+    ----------
+    term : FrictionTerm
+        What acts on each of the joints.
+    joints : tuple of str
+        The joints.
+
+    Examples
+    --------
+    >>> drag = sdpid.friction.AtJoints(sdpid.friction.Viscous(), ("joint_2", "joint_3"))
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", drag))
+    >>> problem.base.names[-2:]
+    ('Fv_joint_2', 'Fv_joint_3')
+    """
+
+    term: FrictionTerm
+    joints: tuple[str, ...]
+    posed: ClassVar[bool] = True
+
+    columns = PosedTerm.columns
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.term, FrictionTerm) or isinstance(self.term, AtJoints | _AtJoint):
+            raise ModelError(
+                f"AtJoints: {self.term!r:.80} is no term of several joints; give one such as "
+                "friction.Viscous(). Springs and terms of the position name their joint themselves."
+            )
+        object.__setattr__(self, "joints", tuple(self.joints))
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return those of the term, called by the joints' names."""
+        found = self.term.parameters(self.joints)
+        return tuple(
+            replace(
+                each,
+                name=f"{_NUMBER.sub('', each.name)}_{self.joints[each.joint]}",
+                joint=min(each.joint, len(joint_names) - 1),
+            )
+            for each in found
+        )
+
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
+        """Return the term's columns at the motion of its joints, on the joints that move them."""
+        found = [_direction("AtJoints", j, motion.robot, joint_names) for j in self.joints]
+        directions = np.array([direction for direction, _ in found])
+        offsets = np.array([offset for _, offset in found])
+        n, through = directions.shape[1], motion.through_filter
+
+        def through_filter(function: OfMotion, key: Hashable | None) -> Array:
+            assert through is not None
+            mapped = None if key is None else (self, key)
+            return through(lambda v, a: function(v @ directions.T, a @ directions.T), mapped)
+
+        own = SampledMotion(
+            position=motion.position[:, -n:] @ directions.T + offsets,
+            velocity=motion.velocity @ directions.T,
+            acceleration=motion.acceleration @ directions.T,
+            robot=motion.robot,
+            through_filter=None if through is None else through_filter,
+        )
+        columns = self.term.columns_in(own, self.joints)
+        return np.asarray(np.einsum("jn,kjp->knp", directions, columns))
+
+    def with_values(self, values: Sequence[float]) -> FrictionTerm:
+        """Return a copy with values for the open parameters of its term."""
+        return replace(self, term=self.term.with_values(values))
+
+
+POSITION_TERMS: Mapping[str, type[FrictionTerm]] = {
+    each.__name__: each for each in (Spring, PositionTerm, Hysteresis)
+}

@@ -1,0 +1,192 @@
+"""Transmissions: how the joints of a tree follow the motors whose positions are recorded."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomllib
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid.errors import ModelError
+from sdpid.robot.model.model import RobotModel
+
+# Motors that are dependent by more than this share cannot be told apart by any motion.
+_RANK = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Transmission:
+    """Positions of joints as linear functions of those of motors, ``q = matrix @ m + offset``.
+
+    Efforts follow by the principle of virtual work: those of the motors are ``matrix.T`` times
+    those of the joints. A joint that mimics another, a coupled wrist, a differential, or the bars
+    of a parallelogram, written as joints that depend on others, are all such matrices.
+
+    Parameters
+    ----------
+    matrix : array_like, shape (joints, motors)
+        One row a joint of the robot, in the order of `joints`; of full column rank.
+    offset : array_like, shape (joints,), optional
+        Positions of the joints while the motors are at zero, rad or m.
+    names : sequence of str, optional
+        Of the motors, as they are called in recordings; by default ``motor_1``, ``motor_2``, ...
+    joints : sequence of str, optional
+        What the rows are of; by default the robot's joints in its order. Joints that are not named
+        are moved by a motor of their own name.
+
+    Raises
+    ------
+    ModelError
+        When shapes do not fit, numbers are not finite, names repeat, or motors move the joints
+        alike.
+
+    Examples
+    --------
+    >>> wrist = sdpid.Transmission([[1.0, 0.0], [1.0, 1.0]], joints=("joint_5", "joint_6"))
+    >>> robot = sdpid.load_robot("denso_vp6242", transmission=wrist)
+    >>> robot.joint_names[-2:], robot.tree_joints[-2:]
+    (('motor_1', 'motor_2'), ('joint_5', 'joint_6'))
+    """
+
+    matrix: Array
+    offset: Array | None = None
+    names: tuple[str, ...] | None = None
+    joints: tuple[str, ...] | None = None
+
+    def __init__(
+        self,
+        matrix: ArrayLike,
+        offset: ArrayLike | None = None,
+        names: Sequence[str] | None = None,
+        joints: Sequence[str] | None = None,
+    ) -> None:
+        table = real_array(matrix, "transmission: matrix", ndim=2, error=ModelError)
+        rows, columns = table.shape
+        shift = np.zeros(rows) if offset is None else offset
+        shift = real_array(shift, "transmission: offset", ndim=1, error=ModelError)
+        motors = [f"motor_{k + 1}" for k in range(columns)] if names is None else list(names)
+        if len(shift) != rows:
+            raise ModelError(
+                f"transmission: offset has {len(shift)} numbers for {rows} rows; give one each."
+            )
+        for what, given, count in (("names", motors, columns), ("joints", joints, rows)):
+            if given is not None and (len(given) != count or len(set(given)) != count):
+                raise ModelError(
+                    f"transmission: {what} are {', '.join(map(str, given))}; give {count} names, "
+                    "all different."
+                )
+        singular = np.linalg.svd(table, compute_uv=False) if table.size else np.zeros(1)
+        if columns > rows or not singular[-1] > _RANK * singular[0]:
+            raise ModelError(
+                f"transmission: {columns} motors move the {rows} joints in "
+                f"{np.linalg.matrix_rank(table)} ways; leave dependent motors out, so that the "
+                "matrix has full column rank."
+            )
+        for name, value in (
+            ("matrix", frozen(table)),
+            ("offset", frozen(shift)),
+            ("names", tuple(motors)),
+            ("joints", None if joints is None else tuple(joints)),
+        ):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, given: Any) -> Transmission:
+        """Return a transmission from itself, a TOML file or what such a file holds.
+
+        A file has a table ``joints`` with the motors' factors and an ``offset`` for each joint::
+
+            [joints.joint_6]
+            motor_5 = 1.0
+            motor_6 = -0.5
+            offset = 0.1
+
+        Raises
+        ------
+        ModelError
+            When it is none of these.
+        """
+        if isinstance(given, cls):
+            return given
+        what = "transmission"
+        if isinstance(given, str | os.PathLike):
+            what = str(given)
+            try:
+                given = tomllib.loads(Path(given).read_text(encoding="utf-8"))
+            except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as cause:
+                raise ModelError(f"{what}: {cause}.") from None
+        rows = given.get("joints") if isinstance(given, Mapping) else None
+        if not isinstance(rows, Mapping) or not rows or set(given) - {"joints"}:
+            raise ModelError(
+                f"{what}: give a table 'joints' of tables, such as "
+                "[joints.joint_6] with motor_5 = 1.0, motor_6 = -0.5."
+            )
+        for joint, row in rows.items():
+            good = isinstance(row, Mapping) and all(
+                isinstance(x, int | float) and not isinstance(x, bool) for x in row.values()
+            )
+            if not good:
+                raise ModelError(f"{what}: joints.{joint} is {row!r:.80}; give numbers by motors.")
+        names = list(dict.fromkeys(m for row in rows.values() for m in row if m != "offset"))
+        matrix = [[row.get(name, 0.0) for name in names] for row in rows.values()]
+        offset = [row.get("offset", 0.0) for row in rows.values()]
+        return cls(matrix, offset, names, tuple(rows))
+
+    def applied(self, robot: RobotModel) -> RobotModel:
+        """Return a robot whose coordinates are those of the motors.
+
+        Raises
+        ------
+        ModelError
+            When the robot does not have these joints, or its base floats.
+        """
+        assert self.names is not None
+        assert self.offset is not None
+        own = robot.joint_names
+        if robot.n_base or robot.loops:
+            raise ModelError(
+                f"transmission: '{robot.name}' has a floating base or loops, which are not "
+                "supported; describe its joints as a tree on a fixed base."
+            )
+        joints = own if self.joints is None else self.joints
+        if unknown := [name for name in joints if name not in own]:
+            raise ModelError(
+                f"transmission: '{robot.name}' has no joint {', '.join(unknown)}; it has "
+                f"{', '.join(own)}."
+            )
+        if len(joints) != len(self.matrix):
+            raise ModelError(
+                f"transmission: {len(self.matrix)} rows for the {len(own)} joints of "
+                f"'{robot.name}': {', '.join(own)}; give one each, or name the joints."
+            )
+        others = [name for name in own if name not in joints]
+        # A joint that no row names has a motor of its own, in the place of that joint.
+        names, taken = [], False
+        for name in own:
+            if name in others:
+                names.append(name)
+            elif not taken:
+                names += self.names
+                taken = True
+        if repeated := [name for name in self.names if name in others]:
+            raise ModelError(
+                f"transmission: {', '.join(repeated)} is a motor, and a joint that no row names."
+            )
+        matrix, offset = np.zeros((len(own), len(names))), np.zeros(len(own))
+        for name in others:
+            matrix[own.index(name), names.index(name)] = 1.0
+        rows = [own.index(name) for name in joints]
+        columns = [names.index(name) for name in self.names]
+        matrix[np.ix_(rows, columns)], offset[rows] = self.matrix, self.offset
+        return replace(
+            robot,
+            joint_names=tuple(names),
+            expansion=frozen(robot.expansion @ matrix),
+            offset=frozen(robot.expansion @ offset + robot.offset),
+        )
