@@ -18,6 +18,7 @@ from sdpid._common.tables import Shown
 from sdpid.errors import InfeasibleError
 from sdpid.estimation.constraints.condition import Cone, Layout, Row
 from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.equalities import Fixed
 from sdpid.robot.inertia import Consistency, margin, margin_shift, matrix_basis
 
 ConstraintKind = Literal["consistency", "mass", "sign", "theta_max", "row", "cone", "exists"]
@@ -149,8 +150,10 @@ class FeasibleSet(Shown):
             upper[: 10 * n_links : 10] = constraints.mass_max
         if constraints.friction_nonnegative and consistency != "none":
             lower[10 * n_links :][nonnegative] = 0.0
+        values = {p.name: p.value for p in layout.friction.parameters if p.value is not None}
+        known = (Fixed(values),) if values else ()
         compiled = _numbered(
-            [part for other in constraints.others for part in other.compile(layout)]
+            [part for other in (*constraints.others, *known) for part in other.compile(layout)]
         )
         rows = [part for part in compiled if isinstance(part, Row)]
         cones = [part for part in compiled if isinstance(part, Cone)]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
+from sdpid.experiment.recording.clock import retimed, told_clock
 from sdpid.experiment.recording.recording import OPTIONAL, Recording
 from sdpid.experiment.recording.stored import extremes
 
@@ -65,6 +66,14 @@ def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
         In words, with sizes and rows.
     """
     log, notes = _in_time(log)
+    if (clock := told_clock(log)) is not None:
+        notes.append(
+            f"times taken from the speeds of joints {', '.join(log.names[j] for j in clock.joints)}"
+            f", for {clock.repeats:.3g} of the rows repeat others and the rest were read "
+            f"{1e3 * clock.jitter:.2g} ms (rms) from their stamps: steps of positions then differ "
+            f"from speeds by {100.0 * clock.left:.2g} % instead of {100.0 * clock.missed:.2g} %"
+        )
+        log = retimed(log, clock)
     pieces = split_at_gaps(log)
     if pieces != (log,):
         longest = _longest_gap(log.step)

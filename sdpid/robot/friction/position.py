@@ -18,12 +18,11 @@ from sdpid.robot.friction.term import FrictionTerm, OfMotion, SampledMotion, Ter
 _NUMBER = re.compile(r"\d+$")
 
 
-@dataclass(frozen=True)
 class _AtJoint(FrictionTerm):
     """A base of terms that act on one joint, at any speed."""
 
     # A joint whose position is recorded, or one behind a transmission.
-    joint: ClassVar[str]
+    joint: str
     posed: ClassVar[bool] = True
 
     columns = PosedTerm.columns
@@ -106,7 +105,7 @@ class Spring(_AtJoint):
     'K2'
     """
 
-    joint: str  # type: ignore[misc]
+    joint: str
     stiffness: float | None = None
     rest: float | None = None
 
@@ -166,7 +165,7 @@ class PositionTerm(_AtJoint):
 
     function: Callable[[Array], Array] | tuple[tuple[float, ...], tuple[float, ...]]
     name: str
-    joint: str  # type: ignore[misc]
+    joint: str
     count: int = 1
     unit: str = "1"
     nonnegative: bool = False
@@ -237,7 +236,7 @@ class Hysteresis(_AtJoint):
     ('Fha4', 'Fhb4')
     """
 
-    joint: str  # type: ignore[misc]
+    joint: str
     slips: tuple[float, ...]
 
     def __post_init__(self) -> None:
