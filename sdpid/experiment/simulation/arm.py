@@ -60,6 +60,11 @@ class SimulatedArm:
         require_fixed_robot(robot, "simulation")
         require_open_chain(robot, "simulation")
         tree, own_v = robot.tree, robot.tree.first_v
+        if tree.column.shape[1] > 1:
+            raise ModelError(
+                f"simulation: joints of '{robot.name}' are moved by several motors at once, which "
+                "is not simulated; predict efforts with problem.predict, or write an MJCF."
+            )
         bodies = np.array(model.theta[: 10 * robot.n_links]).reshape(-1, 10)
         # Bodies and their gravity: the robot's, those of a tilt, and those that carry load.
         packs = [bodies, np.zeros_like(bodies), np.zeros_like(bodies)]
@@ -72,8 +77,8 @@ class SimulatedArm:
                 gravity[TILTED] = coefficients[own] @ term.change(robot.gravity)
         friction = _friction(terms, coefficients)
         arrays = Robot(
-            tree=_packed([tree.kind, tree.parent, tree.column[own_v]]),
-            angles=_packed([tree.factor[own_v], np.asarray(robot.offset)[own_v]]),
+            tree=_packed([tree.kind, tree.parent, tree.column[own_v, 0]]),
+            angles=_packed([tree.factor[own_v, 0], np.asarray(robot.offset)[own_v]]),
             turn=_packed(tree.turn),
             place=_packed(np.concatenate([tree.place, tree.axis[:, None]], axis=1)),
             bodies=_packed(packs),
