@@ -222,11 +222,16 @@ def _thinned(run: Run, stride: int) -> Run:
     """Return every so many samples of a stretch."""
     if stride == 1:
         return run
-    velocity = run.velocity
+    late = run.late
     tables: dict[str, Any] = {
         k: getattr(run, k)[::stride] for k in ("link", "difference", "torque")
     }
-    return run._replace(**tables, velocity=lambda delay: velocity(delay)[::stride])
+
+    def thinned(delay: float) -> tuple[Array, Array]:
+        velocity, torque = late(delay)
+        return velocity[::stride], torque[::stride]
+
+    return run._replace(**tables, late=thinned)
 
 
 def _chosen(groups: list[list[Run]]) -> _Model:
@@ -278,11 +283,11 @@ def _columns(runs: list[Run], model: _Model, delays: Array) -> tuple[list[Array]
 
     The columns are velocity, torque and those of its terms. Means are taken off: the offset.
     """
-    alike = [(delay, delays == delay) for delay in np.unique(delays).tolist()]
-    velocity = np.zeros((sum(len(run.link) for run in runs), len(delays)))
-    for delay, joints in alike:
-        velocity[:, joints] = np.concatenate([run.velocity(delay)[:, joints] for run in runs])
-    torque = np.concatenate([run.torque for run in runs])
+    velocity, torque = np.zeros((2, sum(len(run.link) for run in runs), len(delays)))
+    for delay in np.unique(delays).tolist():
+        own, parts = delays == delay, [run.late(delay) for run in runs]
+        velocity[:, own] = np.concatenate([rates for rates, _ in parts])[:, own]
+        torque[:, own] = np.concatenate([loads for _, loads in parts])[:, own]
     columns = []
     for j, terms in enumerate(model.terms):
         more = [

@@ -111,8 +111,8 @@ class Elasticity(Shown):
         for run in runs_of(self.estimate, log, joints, self.rotor_inertia):
             both = np.zeros((2, len(run.link), len(self.compliance)))
             for k, j in enumerate(joints.tolist()):
-                both[0, :, j] = self.delay_s[j] * run.velocity(float(self.delay_s[j]))[:, k]
-                both[0, :, j] += self.compliance[j] * run.torque[:, k]
+                velocity, torque = run.late(float(self.delay_s[j]))
+                both[0, :, j] = self.delay_s[j] * velocity[:, k] + self.compliance[j] * torque[:, k]
                 for term in self.terms[j]:
                     both[0, :, j] += term.columns(run.link[:, k], run.torque[:, k]) @ term.weights
             both[1][:, joints] = run.difference

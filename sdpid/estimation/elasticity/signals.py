@@ -33,15 +33,16 @@ class Run(NamedTuple):
     slopes : ndarray, shape (m, p)
         Sums over the samples of torques, their means taken off, times how these depend on the
         standard parameters.
-    velocity : callable
-        Takes a delay (s) and returns the motors' velocities (N, m) half of it earlier.
+    late : callable
+        Takes a delay (s) and returns the motors' velocities (N, m) half of it earlier, whose
+        product with it they went on by meanwhile, and the torques (N, m) that much earlier.
     """
 
     link: Array
     difference: Array
     torque: Array
     slopes: Array
-    velocity: Callable[[float], Array]
+    late: Callable[[float], tuple[Array, Array]]
 
 
 def runs_of(estimate: Estimate, log: Recording, joints: Indices, rotors: Array) -> list[Run]:
@@ -93,13 +94,16 @@ def _run(
         torque[rows] = columns @ theta - rotors[joints] * acceleration[rows][:, joints]
         sums += np.einsum("nm,nmp->mp", torque[rows], columns), columns.sum(axis=0)
 
-    def at(delay: float) -> Array:
-        return np.asarray(spline(np.clip(time - 0.5 * delay, 0.0, time[-1]), 1)[:, joints])
+    torques = CubicSpline(time, torque)
+
+    def late(delay: float) -> tuple[Array, Array]:
+        half, whole = (np.clip(time - part * delay, 0.0, time[-1]) for part in (0.5, 1.0))
+        return np.asarray(spline(half, 1)[:, joints]), np.asarray(torques(whole))
 
     return Run(
         link=link[:, joints],
         difference=(motor - link)[:, joints],
         torque=torque,
         slopes=sums[0] - torque.mean(axis=0)[:, None] * sums[1],
-        velocity=at,
+        late=late,
     )

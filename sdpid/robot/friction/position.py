@@ -205,13 +205,15 @@ class PositionTerm(_AtJoint):
             if callable(self.function)
             else np.interp(position, *self.function)
         )
-        shapes = np.asarray(found, dtype=np.float64).reshape(len(position), -1)
-        if shapes.shape[1] != self.count or not np.isfinite(shapes).all():
+        shapes = np.asarray(found, dtype=np.float64)
+        if shapes.shape not in ((len(position),) * (self.count == 1), (len(position), self.count)):
+            shapes = np.full(1, np.nan)
+        if not np.isfinite(shapes).all():
             raise ModelError(
                 f"PositionTerm {self.name}: its function returned the shape {np.shape(found)} for "
                 f"{len(position)} positions; give {self.count} finite value(s) each."
             )
-        return shapes
+        return shapes.reshape(len(position), -1)
 
 
 @dataclass(frozen=True)

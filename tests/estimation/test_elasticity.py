@@ -1,0 +1,171 @@
+"""Elasticity of gears, from encoders on both of their sides."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.estimation.elasticity.result import Elasticity
+from sdpid.workflow.result import Identification
+from tests.helpers.data import random_links
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import described_arm
+
+RATE, SECONDS = 250.0, 24.0
+ROTORS, DELAY = np.array([0.3, 0.2, 0.1]), 3e-3
+STIFFNESS = np.array([2e4, 8e3, np.inf])
+
+
+@cache
+def arm() -> sdpid.RobotModel:
+    return described_arm(random_links(np.random.default_rng(5), 3))
+
+
+def log(seed: int, *, line: float = 0.0, noise: float = 2e-5) -> sdpid.Recording:
+    """Return a recording of gears that give way by the links' torque, links read late.
+
+    A line of 200 cycles a turn is an error of the second link's encoder.
+    """
+    robot, rng = arm(), np.random.default_rng(seed)
+    rates, phases = rng.uniform(1.0, 7.0, (3, 4)), rng.uniform(0.0, 6.0, (3, 4))
+
+    def at(time: Array, order: int = 0) -> Array:
+        angle = rates * time[:, None, None] + phases
+        waves = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))[order]
+        return np.asarray(0.3 * waves.sum(axis=2))
+
+    time = np.arange(0.0, SECONDS, 1.0 / RATE)
+
+    def deflection(when: Array) -> Array:
+        states = at(when), at(when, 1), at(when, 2)
+        return np.asarray(robot.inverse_dynamics(robot.prior, *states) / STIFFNESS)
+
+    motor = at(time) + rng.normal(0.0, noise, (len(time), 3))
+    link = at(time - DELAY) - deflection(time - DELAY) + [0.01, 0.02, -0.01]
+    link[:, 1] += line * np.sin(200.0 * link[:, 1])
+    link += rng.normal(0.0, noise, link.shape)
+    states = at(time), at(time, 1), at(time, 2)
+    effort = robot.inverse_dynamics(robot.prior, *states) + ROTORS * states[2] + 0.4 * states[1]
+    effort += 0.02 * rng.standard_normal(effort.shape)
+    names = robot.joint_names
+    return sdpid.Recording(
+        time=time, position=motor, effort=effort, link_position=link, joint_names=names
+    )
+
+
+@cache
+def rigid() -> Identification:
+    terms = ("coulomb", "viscous", "rotor_inertia")
+    return sdpid.identify(arm(), log(0), friction=terms, effects="none", intervals=False)
+
+
+@cache
+def found(*seeds: int, line: float = 0.0) -> Elasticity:
+    logs = [log(seed, line=line) for seed in seeds]
+    return sdpid.identify_elasticity(rigid(), logs, rotor_inertia=ROTORS)
+
+
+@pytest.mark.slow
+def test_stiffness_and_delay_are_within_their_intervals():
+    held = []
+    for seed in range(1, 13):
+        one = found(seed)
+        low, high = one.interval[:2].T
+        held += ((low <= STIFFNESS[:2]) & (STIFFNESS[:2] <= high)).tolist()
+        held.append(abs(one.delay_s[0] - DELAY) <= 2.1 * one.delay_error_s[0])
+        held.append(np.isnan(one.stiffness[2]))
+    assert np.mean(held) >= 0.85
+
+
+def test_what_two_encoders_tell():
+    one = found(1)
+    np.testing.assert_allclose(one.stiffness[:2], STIFFNESS[:2], rtol=0.05)
+    np.testing.assert_allclose(one.delay_s, DELAY, atol=5e-5)
+    # A gear that gives way by nothing may be infinitely stiff.
+    assert np.isnan([one.stiffness[2], *one.interval[2]]).all()
+    assert one.compliance[2] >= 0.0
+    assert one.terms == ((), (), ())
+    other = log(7)
+    assert one.errors(other).std(axis=0).max() < 1.5e-4
+    blind = replace(other, link_position=None)
+    np.testing.assert_allclose(one.deflection(blind), one.deflection(other), atol=1e-12)
+
+
+def test_a_line_of_an_encoder_is_kept_where_recordings_that_are_left_out_keep_it():
+    one, two = found(1, line=2e-3), found(1, 2, 3, line=2e-3)
+    assert one.terms == ((), (), ())
+    assert [[term.kind for term in terms] for terms in two.terms] == [[], ["line"], []]
+    (term,) = two.terms[1]
+    assert term.numbers[0] == pytest.approx(200.0, abs=0.05)
+    assert np.linalg.norm(term.weights) == pytest.approx(2e-3, rel=0.05)
+    other = log(7, line=2e-3)
+    assert two.errors(other)[:, 1].std() < 0.25 * one.errors(other)[:, 1].std()
+
+
+def test_rotors_that_the_motion_does_not_show_are_named():
+    terms = ("coulomb", "viscous")
+    plain = sdpid.identify(arm(), log(0), friction=terms, effects="none", intervals=False)
+    without = sdpid.identify_elasticity(plain, log(1))
+    assert without.conditional == arm().joint_names
+    np.testing.assert_array_equal(without.rotor_inertia, 0.0)
+    unknown = sdpid.identify_elasticity(rigid(), log(1), rotor_inertia=[np.nan, 0.2, np.nan])
+    theta = rigid().estimate.named_theta()
+    assert theta is not None
+    assert unknown.rotor_inertia[1] == 0.2
+    shown = [f"Ia{j + 1}" in rigid().estimate.problem.base.names for j in range(3)]
+    expected = [theta[f"Ia{j + 1}"] if shown[j] else 0.0 for j in range(3)]
+    np.testing.assert_allclose(unknown.rotor_inertia[[0, 2]], np.array(expected)[[0, 2]])
+
+
+def test_it_is_shown_and_written(tmp_path: Path):
+    one = found(1)
+    one.save(tmp_path / "elasticity.json")
+    kept = json.loads((tmp_path / "elasticity.json").read_text())
+    assert kept["stiffness"][2] is None
+    assert kept["stiffness"][0] == pytest.approx(one.stiffness[0])
+    assert kept["joints"] == list(arm().joint_names)
+    assert "stiffness, N·m/rad" in one._repr_html_()
+
+
+def test_joints_with_one_encoder_are_left_out():
+    both = log(1)
+    assert both.link_position is not None
+    links = np.array(both.link_position)
+    links[:, 0] = both.position[:, 0]
+    links[:, 2] = both.position[:, 1]
+    one = sdpid.identify_elasticity(rigid(), replace(both, link_position=links), ROTORS)
+    assert np.isfinite(one.compliance).tolist() == [False, True, False]
+    kinds = {
+        each.kind for each in sdpid.inspect_recording(replace(both, link_position=links)).findings
+    }
+    assert {"link_late", "link_unlike"} <= kinds
+
+
+REFUSED = [
+    (lambda: sdpid.identify_elasticity(rigid(), []), "no recording is given"),
+    (lambda: sdpid.identify_elasticity(3, log(1)), "estimate: is int; give what"),
+    (
+        lambda: sdpid.identify_elasticity(rigid(), replace(log(1), link_position=None)),
+        "recording 1 has no positions of links",
+    ),
+    (
+        lambda: sdpid.identify_elasticity(rigid(), replace(log(1), link_position=log(1).position)),
+        "no joint has a second encoder",
+    ),
+    (
+        lambda: sdpid.identify_elasticity(rigid(), log(1), rotor_inertia=[1.0, 2.0]),
+        "rotor_inertia: is .* for each of the 3 joints",
+    ),
+    (lambda: sdpid.identify_elasticity(rigid(), log(1), rotor_inertia=-1.0), "not negative"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), REFUSED, ids=[words for _, words in REFUSED])
+def test_what_is_refused(call: object, words: str):
+    refuses(DataError, words, call)  # type: ignore[arg-type]
