@@ -86,7 +86,7 @@ class Formulation:
     ) -> Prepared:
         """Prepare recordings of a robot that weighs what the constraints say."""
         mass = None if self.constraints is None else known_mass(self.constraints.others)
-        return prepare(robot, log, total_mass=mass, **how)
+        return prepare(robot, log, total_mass=mass, terms=self.friction or (), **how)
 
     def without_choices(self, problem: Problem) -> Formulation:
         """Return the same with the terms that were chosen for a problem, and no more."""
@@ -103,6 +103,8 @@ class Formulation:
         if isinstance(prior, (bool, np.bool_)):
             prior = Prior() if prior else None
         given = friction_of(prepared.logs[0], self.friction)
+        held = {getattr(each, "joint", None) for each in given}
+        given += tuple(each for each in robot.springs if getattr(each, "joint", None) not in held)
 
         def build(terms: tuple[str | FrictionTerm, ...]) -> Problem:
             return build_problem(

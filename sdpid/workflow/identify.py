@@ -358,6 +358,7 @@ def _solved(
     if intervals is not False:
         problem, unknown = with_motion_bias_of(problem, prepared)
         notes += unknown
+    notes += _of_springs(problem)
     notes += [each.words for each in problem.origin.effects]
     if (alike := in_words(collinear_friction(problem))) is not None:
         notes.append(alike)
@@ -399,6 +400,18 @@ def _solved(
         recipe=recipe,
         recipe_note=no_recipe,
     )
+
+
+def _of_springs(problem: Problem) -> list[str]:
+    """Return that springs of the description are held, if there are any."""
+    kept = [each for each in problem.robot.springs if each in problem.friction.terms]
+    joints = [str(getattr(each, "joint", "")) for each in kept]
+    if not joints:
+        return []
+    return [
+        f"springs of the description are held as they are there, at {listed(joints)}: give "
+        f"friction.Spring('{joints[0]}') among the terms to identify one"
+    ]
 
 
 def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | None, str | None]:

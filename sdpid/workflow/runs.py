@@ -238,7 +238,8 @@ class SavedRun(Shown):
             raise DataError(f"{what}: has no {lacking}, so that no model can be made of it.")
         given = self.recipe["robot"]
         text = without_level(read_description(files[0]).text)
-        robot = load_robot(text, root=given["root"], gravity=given["gravity"])
+        how = {name: given.get(name) for name in ("root", "gravity", "transmission")}
+        robot = load_robot(text, **how)
         terms = [term_from_dict(each) for each in self.recipe["friction"]]
         friction = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
         if [*robot.parameter_names, *(p.name for p in friction.parameters)] != [*self.standard]:

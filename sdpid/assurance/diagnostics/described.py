@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from sdpid.estimation.compression.rows import motion_of
 from sdpid.experiment.preparation.prepare import SMOOTH
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.position import AtJoints, Spring
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, Coupling, Offset, RotorInertia, Viscous
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -39,6 +40,8 @@ def described_dynamics(
     attributes: tuple[Array, Array, Array] | None = None,
     couplings: Couplings = (),
     offsets: Array | None = None,
+    behind: tuple[Array, Array, Array] | None = None,
+    springs: Sequence[Spring] = (),
 ) -> RobotDynamics:
     """Return the dynamics that a description holds: links, dry friction, damping, armature.
 
@@ -57,6 +60,10 @@ def described_dynamics(
         crosswise (see `sdpid.friction.Coupling`).
     offsets : ndarray, shape (joints,), optional
         Constant efforts of the joints.
+    behind : tuple of ndarray, shape (nv,) each, optional
+        Dry friction, damping and armature of joints behind a transmission.
+    springs : sequence of Spring, optional
+        Springs of known stiffness and rest.
 
     Returns
     -------
@@ -74,6 +81,12 @@ def described_dynamics(
     values += [np.array(crosswise) for _, crosswise in couplings]
     if offsets is not None:
         terms, values = (*terms, Offset()), [*values, offsets]
+    if behind is not None:
+        own = (sharp, Viscous(), RotorInertia())
+        terms += tuple(AtJoints(term, robot.tree_joints) for term in own)
+        values += behind
+    terms += tuple(springs)
+    values += [np.array([each.stiffness, *each.polynomial]) for each in springs]
     return RobotDynamics(
         robot=robot,
         terms=FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base),

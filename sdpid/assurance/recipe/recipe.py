@@ -23,6 +23,7 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import term_from_dict, term_to_dict
 from sdpid.robot.model.base_parameters import kinematics_digest
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.transmission import Transmission
 
 # Weightings with a covariance for each sample: it comes from the log's periods, as do the rows.
 PER_SAMPLE: tuple[Weighting, ...] = ("gls_per_sample", "eq9", "eq18")
@@ -57,6 +58,8 @@ class RobotRecipe:
         In the base link, m/s².
     kinematics : str or None
         SHA-256 of the kinematics (see `kinematics_digest`).
+    transmission : mapping or None
+        How the joints follow the motors, as `load_robot` takes it; None where they are those.
     """
 
     name: str
@@ -66,6 +69,7 @@ class RobotRecipe:
     xacro_args: dict[str, str]
     gravity: tuple[float, ...]
     kinematics: str | None
+    transmission: Mapping[str, Any] | None = None
 
     @classmethod
     def of(cls, robot: RobotModel) -> RobotRecipe:
@@ -80,12 +84,18 @@ class RobotRecipe:
             xacro_args=dict(options.get("xacro_args", {})),
             gravity=tuple(robot.gravity.tolist()),
             kinematics=kinematics_digest(robot),
+            transmission=robot.transmission,
         )
 
     @classmethod
     def from_dict(cls, given: Any) -> RobotRecipe:
         """Return the recipe of `plain` values; TypeError or ValueError where it is none."""
+        if isinstance(given, Mapping):
+            # Recipes of runs before there were transmissions.
+            given = {"transmission": None, **given}
         _require_keys(given, _names(cls))
+        if given["transmission"] is not None:
+            given["transmission"] = Transmission.of(given["transmission"]).to_dict()
         for name, kind in _OF_ROBOT.items():
             if not isinstance(given[name], kind):
                 raise TypeError(f"{name} of the robot is {given[name]!r:.80}")
@@ -101,7 +111,9 @@ class RobotRecipe:
     def arguments(self) -> dict[str, Any]:
         """The arguments of `load_robot` that load it again."""
         given: dict[str, Any] = {"gravity": self.gravity, "root": self.root}
-        return {**given, "xacro_args": self.xacro_args} if self.xacro_args else given
+        for name in ("xacro_args", "transmission"):
+            given |= {name: value} if (value := getattr(self, name)) else {}
+        return given
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

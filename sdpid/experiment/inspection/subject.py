@@ -28,9 +28,13 @@ from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
+from sdpid.robot.model.dynamics import spring_efforts
 from sdpid.robot.model.model import RobotModel
 
 _Made = TypeVar("_Made")
+
+# A step of time over which efforts of springs are straight lines, s.
+_SOON = 1e-4
 
 KINDS.update(time_stamps=refuse("{why}", final=True), continued=note("{note}"))
 
@@ -52,6 +56,8 @@ class Subject:
         Why the joints are not those of the robot.
     without : frozenset of str
         Joints whose effort is not used.
+    sprung : frozenset of str
+        Joints with springs that are not known, whose efforts no description explains.
     total_mass : float or None
         What the robot weighs, kg, where that is known.
     """
@@ -61,6 +67,7 @@ class Subject:
     log: Recording
     mismatch: DataError | None = None
     without: frozenset[str] = frozenset()
+    sprung: frozenset[str] = frozenset()
     total_mass: float | None = None
     # What was made of `log`, also for subjects of which other efforts are not used.
     _made: dict[Any, Any] = field(default_factory=dict, repr=False)
@@ -167,8 +174,19 @@ class Subject:
 
     @cached_property
     def low_passed(self) -> FilteredRows | None:
-        """Motion and efforts at a few times, filtered alike; None where nothing moves."""
-        return low_passed(self.pieces, self.without) if self.pieces else None
+        """Motion and efforts at a few times, filtered alike; None where nothing moves.
+
+        Efforts are those beside the description's springs.
+        """
+        rows = low_passed(self.pieces, self.without | self.sprung) if self.pieces else None
+        if rows is None or self.fixed is None or not self.fixed.springs:
+            return rows
+        before, now, after = (
+            spring_efforts(self.fixed, rows.position + step * rows.velocity)
+            for step in (-_SOON, 0.0, _SOON)
+        )
+        rate = (after - before) / (2.0 * _SOON)
+        return replace(rows, effort=rows.effort - now, effort_rate=rows.effort_rate - rate)
 
     @cached_property
     def standing(self) -> Standing | None:
@@ -203,7 +221,11 @@ class Subject:
             log = None if self.low_passed is None else fixed_log(self.fixed, self.low_passed)
         else:
             samples = self.samples
-            log = None if samples is None else floating_log(self.robot, samples, self.without)
+            log = (
+                None
+                if samples is None
+                else floating_log(self.robot, samples, self.without | self.sprung)
+            )
         return None if log is None else log.searched()
 
     def delays(self, unused: Collection[str] = ()) -> dict[str, Delay]:

@@ -132,6 +132,7 @@ def prepare(
     gains: Any = None,
     name: str = "log",
     total_mass: float | None = None,
+    terms: Iterable[Any] = (),
 ) -> Prepared:
     """Read, match, process and join recordings of a robot.
 
@@ -156,6 +157,8 @@ def prepare(
         What messages call the argument that holds the recordings.
     total_mass : float, optional
         What a robot with a floating base weighs, kg, which inspection compares with its efforts.
+    terms : iterable, optional
+        Friction terms that are given: the description does not tell efforts of springs among them.
 
     Raises
     ------
@@ -169,7 +172,8 @@ def prepare(
     for log in read:
         require_torques(log)
         require_its_base(robot, log)
-    subjects = [Subject.of(log, robot) for log in read]
+    sprung = moved_by_springs(robot, terms)
+    subjects = [replace(Subject.of(log, robot), sprung=sprung) for log in read]
     findings: tuple[Finding, ...] = ()
     if accept is not None:
         kinds = kinds_accepted(accept)
@@ -516,3 +520,13 @@ def friction_of(
     for each in (DEFAULT,) if given is None else given:
         terms += default_friction(log) if isinstance(each, str) and each == DEFAULT else [each]
     return tuple(terms)
+
+
+def moved_by_springs(robot: RobotModel, terms: Iterable[Any]) -> frozenset[str]:
+    """Return the joints on which given terms of the position act."""
+    rows = dict(zip(robot.tree_joints, robot.expansion, strict=True))
+    names = {getattr(each, "joint", None) for each in terms}
+    found = names & {*robot.joint_names}
+    for name in names & {*rows} - found:
+        found |= {n for n, x in zip(robot.joint_names, rows[name], strict=True) if x}
+    return frozenset(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from sdpid.output.robots.joint_friction import (
     crosswise,
     joint_attributes,
 )
+from sdpid.robot.friction.position import Spring
 from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 from sdpid.robot.model.model import RobotModel
 
@@ -172,6 +173,8 @@ def file_errors(
     attributes: tuple[Array, Array, Array],
     couplings: Couplings = (),
     offsets: Array | None = None,
+    behind: tuple[Array, Array, Array] | None = None,
+    springs: Sequence[Spring] = (),
 ) -> ExportErrors | None:
     """Return the errors of a file that was written from an estimate, given the numbers in it.
 
@@ -189,6 +192,10 @@ def file_errors(
         Of two joints each, what tendons do crosswise, read back from the file.
     offsets : ndarray, shape (joints,), or None
         Constant efforts.
+    behind : tuple of ndarray, shape (nv,) each, or None
+        Dry friction, damping and armature of joints behind a transmission, read back from the file.
+    springs : sequence of Spring, optional
+        Those of the file.
     """
     problem, theta = estimate.problem, estimate.theta
     assert theta is not None
@@ -202,6 +209,8 @@ def file_errors(
         attributes=attributes,
         couplings=couplings,
         offsets=offsets,
+        behind=behind,
+        springs=springs,
     )
     return ExportErrors(
         validate_dynamics(model, samples, problem).told.relative,
@@ -243,21 +252,41 @@ def _errors_with(
 ) -> ExportErrors | None:
     """Return the errors of an estimate with attributes in place of its friction."""
     robot = estimate.problem.robot
-    damping, dry = (np.array(each) for each in robot.described_friction())
-    armature = np.zeros(robot.n)
-    for j, joint in enumerate(robot.joint_names):
+    damping, dry = (np.array(each) for each in friction_in(robot))
+    armature = np.zeros(len(dry))
+    for j, joint in enumerate(
+        robot.joint_names if robot.transmission is None else robot.tree_joints
+    ):
         values = friction.values.get(joint, {})
         dry[j] = values.get(PLACES[Coulomb], dry[j])
         damping[j] = values.get(PLACES[Viscous], damping[j])
         armature[j] = values.get(_OF_ROTORS, 0.0)
-    more = added(friction.tendons, robot.joint_names)
+    held = of_places(robot, dry, damping)
+    if robot.transmission is None:
+        more = added(friction.tendons, robot.joint_names)
+        held = {"attributes": (dry, damping + more[1], armature + more[0])}
     return file_errors(
         estimate,
         samples,
         robot=robot.with_gravity(estimate.model().tilted_gravity),
-        attributes=(dry, damping + more[1], armature + more[0]),
         couplings=crosswise(friction.tendons, robot.joint_names),
+        **held,
     )
+
+
+def friction_in(robot: RobotModel) -> tuple[Array, Array]:
+    """Return viscous and Coulomb friction in a description: of joints, where motors move these."""
+    if robot.transmission is None:
+        return robot.described_friction()
+    return np.array(robot.pin_model.damping), np.array(robot.pin_model.friction)
+
+
+def of_places(robot: RobotModel, dry: Array, damping: Array) -> dict[str, Any]:
+    """Return friction of a file's joints as `file_errors` takes it."""
+    if robot.transmission is None:
+        return {"attributes": (dry, damping, np.zeros(robot.n))}
+    none = np.zeros(robot.n)
+    return {"attributes": (none, none, none), "behind": (dry, damping, np.zeros(len(dry)))}
 
 
 def given_up(estimate: Estimate, target: Target) -> str:

@@ -25,6 +25,7 @@ from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import CLASSES, Coupling, term_to_dict
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -318,7 +319,8 @@ def write_friction(
     Returns
     -------
     tuple of str
-        What the file leaves out, in words: a tilt of the base. It says the tilted gravity.
+        What the file leaves out, in words: a tilt of the base, of which it says the tilted
+        gravity, and terms that depend on positions.
 
     Raises
     ------
@@ -335,13 +337,19 @@ def write_friction(
     model = estimate if isinstance(estimate, RobotDynamics) else estimate.model()
     data = friction_data(model, certificate=certificate)
     atomic_write_text(path, writer(data))
-    if not data["left_out"]:
-        return ()
-    gravity = ", ".join(f"{x:.5g}" for x in model.tilted_gravity)
-    return (
-        f"{path.stem}: the tilt of the base is not in it, since gravity is the links': take "
-        f"({gravity}) m/s² as gravity in the base",
-    )
+    said: tuple[str, ...] = ()
+    if Tilt.__name__ in data["left_out"]:
+        gravity = ", ".join(f"{x:.5g}" for x in model.tilted_gravity)
+        said += (
+            f"{path.stem}: the tilt of the base is not in it, since gravity is the links': take "
+            f"({gravity}) m/s² as gravity in the base",
+        )
+    if others := [each for each in dict.fromkeys(data["left_out"]) if each != Tilt.__name__]:
+        said += (
+            f"{path.stem}: terms of positions and of joints behind a transmission are not in it: "
+            f"{', '.join(others)}; take estimate.model()",
+        )
+    return said
 
 
 def friction_data(
@@ -366,6 +374,11 @@ def friction_data(
     }
 
 
+def _no_friction(term: FrictionTerm) -> bool:
+    """Return whether a term of ours depends on positions, which the files' functions lack."""
+    return term.posed and type(term) in CLASSES.values() and not isinstance(term, LoadFriction)
+
+
 def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
     """Return joints, terms with their parameters, and terms that are left out, as plain values.
 
@@ -377,7 +390,7 @@ def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
     names, n, terms = model.joint_names, len(model.joint_names), []
     for term, own in model.placed:
         kind = type(term).__name__
-        if type(term) is Tilt:
+        if _no_friction(term):
             continue
         found: dict[str, Any] = {"term": kind}
         if CLASSES.get(kind) is type(term):
@@ -407,5 +420,5 @@ def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
             if key not in {"term", *_NOT_IN_FORMULAS}:
                 found[key] = np.broadcast_to(np.asarray(value, float), (count,)).tolist()
         terms.append({**found, "values": values[own]})
-    left_out = [Tilt.__name__ for term in model.terms if type(term) is Tilt]
+    left_out = [type(term).__name__ for term in model.terms if _no_friction(term)]
     return {"joints": list(names), "terms": terms, "left_out": left_out}

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,9 +33,11 @@ from sdpid.output.robots.position_tendons import BentFriction, bent_friction
 from sdpid.robot.description.mjcf import MjcfTendon
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PositionFriction, Tilt
+from sdpid.robot.friction.position import AtJoints, Spring
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.friction.terms import Coulomb, Coupling, Offset, RotorInertia, Viscous
 from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.robot.model.model import RobotModel
 
 Kind = type[JointwiseTerm]
 
@@ -111,9 +113,11 @@ class JointAttributes:
         Constant efforts by joint name.
     bent : dict
         Friction over position by joint name, as tendons.
+    motors : dict
+        Attributes and their numbers by the names of motors that move no joint alone.
     """
 
-    values: dict[str, dict[str, float]]
+    values: dict[str, dict[str, Any]]
     left_out: tuple[LeftOut, ...] = ()
     notes: tuple[str, ...] = ()
     fitted: bool = False
@@ -125,6 +129,8 @@ class JointAttributes:
         """Return the mean dry friction (n,) of tendons over each joint's range."""
         return np.array([self.bent[x].mean if x in self.bent else 0.0 for x in joint_names])
 
+    motors: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+
 
 def joint_attributes(
     problem: Problem,
@@ -135,6 +141,7 @@ def joint_attributes(
     tendons: bool = False,
     offsets: bool = False,
     bent: bool = False,
+    springs: bool = False,
 ) -> JointAttributes:
     """Return identified friction as attributes of joints.
 
@@ -154,9 +161,9 @@ def joint_attributes(
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
     what : str
         Name of the written robot in messages.
-    tendons, offsets : bool, optional
+    tendons, offsets, springs : bool, optional
         Whether the drive of two joints has a place as a tendon, a constant effort one as an
-        actuator.
+        actuator, and springs one.
     bent : bool, optional
         Whether friction over position has a place as tendons.
 
@@ -165,7 +172,15 @@ def joint_attributes(
     ExportError
         When an identified number that is to be written is negative.
     """
-    places = Places(problem, theta, attributes, tendons=tendons, offsets=offsets, bent=bent)
+    places = Places(
+        problem,
+        theta,
+        attributes,
+        tendons=tendons,
+        offsets=offsets,
+        bent=bent,
+        springs=springs,
+    )
     values = places.at_nominal_speeds()
     notes: tuple[str, ...] = ()
     left_out = [LeftOut(type(part.term).__name__, part.names) for part in places.lost]
@@ -195,13 +210,25 @@ def joint_attributes(
             f"friction over position is {sum(len(x.tendons) for x in bends.values())} tendons, "
             f"within {bends[worst].error:.2g} N·m of the identified one (joint '{worst}')",
         )
+    seats = Seats(problem.robot, places.joints)
+    for kind, numbers in values.items():
+        for joint, value in zip(places.joints, numbers, strict=True):
+            seats.add(joint, kind, attributes[kind], float(value))
+    for part in places.behind:
+        assert isinstance(part.term, AtJoints)
+        for joint, value in zip(part.term.joints, part.values, strict=True):
+            seats.add(
+                joint, type(part.term.friction), attributes[type(part.term.friction)], float(value)
+            )
+    for part in places.springs:
+        seats.add_spring(part)
+    if seats.motors and not springs:
+        motors = ", ".join(seats.motors)
+        notes += (f"no place for friction of motors that move joints together: {motors}",)
     return JointAttributes(
-        {
-            joint: {attributes[kind]: float(numbers[j]) for kind, numbers in values.items()}
-            for j, joint in enumerate(places.joints if values else ())
-        },
+        seats.values,
         tuple(left_out),
-        notes,
+        notes + seats.notes,
         # What a joint has beside a tendon is not its parameter.
         fitted=not exact or bool(places.tendons),
         tendons=places.tendons,
@@ -211,7 +238,58 @@ def joint_attributes(
             for joint, value in zip(places.joints, part.values, strict=True)
         },
         bent=bends,
+        motors=seats.motors if springs else {},
     )
+
+
+class Seats:
+    """Attributes of joints, and of motors that move no joint alone.
+
+    Attributes
+    ----------
+    values, motors : dict
+        Attributes and their numbers by name.
+    notes : tuple of str
+        What has no place.
+    """
+
+    def __init__(self, robot: RobotModel, joints: Sequence[str]) -> None:
+        self._robot, self._joints, self._seats = robot, joints, robot.seats()
+        self.values: dict[str, dict[str, Any]] = {}
+        self.motors: dict[str, dict[str, Any]] = {}
+        self.notes: tuple[str, ...] = ()
+
+    def _place(self, name: str) -> tuple[dict[str, Any], str, float]:
+        """Return the attributes of a motor's or a joint's place, its joint, and its factor."""
+        if name not in self._joints:
+            return self.values.setdefault(name, {}), name, 1.0
+        joint, factor = self._seats.get(name, ("", 1.0))
+        held = self.values if joint else self.motors
+        return held.setdefault(joint or name, {}), joint, factor
+
+    def add(self, name: str, kind: Kind, attribute: str, value: float) -> None:
+        """Add a number of a motor, or of a joint behind the transmission."""
+        place, _, factor = self._place(name)
+        share = value / (abs(factor) if kind is Coulomb else factor**2)
+        place[attribute] = place.get(attribute, 0.0) + share
+
+    def add_spring(self, part: Part) -> None:
+        """Add a spring, whose effort is a polynomial of the position less its rest."""
+        term = part.term
+        assert isinstance(term, Spring)
+        place, joint, factor = self._place(term.joint)
+        stiffness = float(part.values[0])
+        rest = term.rest if term.rest is not None else part.values[1] / (stiffness or 1.0)
+        if not stiffness > 0.0:
+            self.notes += (f"no place for the spring of {term.joint}: its stiffness is zero",)
+            return
+        robot, shift = self._robot, 0.0
+        if joint and term.joint in self._joints:
+            shift = float(robot.offset[robot.tree_joints.index(joint)])
+        place["springref" if joint else "springlength"] = factor * rest + shift
+        bent = part.values.tolist()[1:] if term.polynomial else []
+        powers = [value / factor ** (k + 2) for k, value in enumerate([stiffness, *bent])]
+        place["stiffness"] = powers if bent else powers[0]
 
 
 class Part(NamedTuple):
@@ -233,6 +311,8 @@ class Places:
         Functions of speed that dry friction and damping stand in for.
     lost : list of Part
         Terms for which there is no place.
+    behind, springs : list of Part
+        Terms of joints behind a transmission, and springs, that have a place.
     coupled, tendons : list of Part, tuple of MjcfTendon
         Drives of two joints that become tendons, and these.
     added : dict of term to ndarray, shape (n,)
@@ -256,8 +336,9 @@ class Places:
         Standard parameters.
     attributes : mapping
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
-    tendons, offsets, bent : bool, optional
-        Whether drives of two joints, constant efforts and friction over position have a place.
+    tendons, offsets, bent, springs : bool, optional
+        Whether drives of two joints, constant efforts, friction over position and springs have a
+        place.
     """
 
     def __init__(
@@ -269,6 +350,7 @@ class Places:
         tendons: bool = False,
         offsets: bool = False,
         bent: bool = False,
+        springs: bool = False,
     ) -> None:
         model = RobotDynamics(robot=problem.robot, terms=problem.friction, theta=theta)
         # Every file has room for the direction of gravity.
@@ -278,6 +360,7 @@ class Places:
         self._held, self.curves, self.lost, self.coupled, self.offsets, self.bent = (
             list[Part]() for _ in range(6)
         )
+        self.behind, self.springs = list[Part](), list[Part]()
         for term, own in problem.friction.placed:
             names = tuple(p.name for p in problem.friction.parameters[own])
             part = Part(term, names, theta[10 * problem.robot.n_links :][own])
@@ -292,6 +375,10 @@ class Places:
                 self.coupled.append(part)
             elif isinstance(term, Offset) and offsets:
                 self.offsets.append(part)
+            elif isinstance(term, AtJoints) and type(term.friction) in attributes:
+                self.behind.append(part)
+            elif isinstance(term, Spring) and springs:
+                self.springs.append(part)
             elif type(term) is not Tilt:
                 self.lost.append(part)
         self.tendons = tuple(each for part in self.coupled for each in _tendons(part))
@@ -440,7 +527,8 @@ class MeasuredRows:
         self.lost = [self._of_part(part) for part in places.lost]
         # What tendons add at the joints themselves, and all that has a place of its own.
         self._added = self._of_attributes(places.added)
-        self._held = sum(map(self._of_part, (*places.coupled, *places.offsets)), self._added)
+        held = (*places.coupled, *places.offsets, *places.behind, *places.springs)
+        self._held = sum(map(self._of_part, held), self._added)
         self._friction = self._measured_friction(theta)
 
     def _measured_friction(self, theta: Array) -> Array:

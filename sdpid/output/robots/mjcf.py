@@ -17,7 +17,12 @@ from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.export_report import ExportReport, file_errors
 from sdpid.output.robots.joint_friction import Kind, added, crosswise, joint_attributes
-from sdpid.output.robots.mjcf_skeleton import inertial_values, mjcf_skeleton
+from sdpid.output.robots.mjcf_skeleton import (
+    add_tendon,
+    inertial_values,
+    mjcf_skeleton,
+    motor_tendons,
+)
 from sdpid.output.robots.position_tendons import BentFriction, tendon_elements
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import (
@@ -29,6 +34,7 @@ from sdpid.output.robots.written_bodies import (
 from sdpid.robot.description.bodies import Inertial
 from sdpid.robot.description.mjcf import MjcfTendon, read_mjcf
 from sdpid.robot.description.xml import add_child, is_mjcf, is_xml, numbers, parse_xml, relative
+from sdpid.robot.friction.position import Spring
 from sdpid.robot.friction.terms import Coulomb, Offset, RotorInertia, Viscous
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
@@ -121,7 +127,14 @@ def write_mjcf(
     # MuJoCo loads no other bodies, whatever consistency the problem has.
     text.write_bodies(bodies, "pseudo_inertia")
     friction = joint_attributes(
-        problem, theta, PLACES, what, tendons=text.ours, offsets=offsets, bent=tendons and text.ours
+        problem,
+        theta,
+        PLACES,
+        what,
+        tendons=text.ours,
+        offsets=offsets,
+        bent=tendons and text.ours,
+        springs=True,
     )
     notes = friction.notes + notes
     if any(lost.term == Offset.__name__ for lost in friction.left_out):
@@ -132,16 +145,20 @@ def write_mjcf(
     text.write_joints(friction.values)
     text.write_tendons(friction.tendons, problem.friction.joint_names)
     text.write_bent(friction.bent)
+    text.write_motors(friction.motors)
     text.write_offsets(friction.offsets)
     written = text.read_back(bodies)
-    dry, damping, armature = written.attributes()
+    held = written.attributes()
+    dry, damping, armature = held.pop("attributes")
     errors = partial(
         file_errors,
         estimate,
         robot=robot,
         # Of friction over position its mean: a description has no more.
         attributes=(dry + friction.mean_of_bent(robot.joint_names), damping, armature),
+        **held,
         couplings=written.couplings(),
+        springs=written.springs(),
         offsets=np.array([*friction.offsets.values()]) if friction.offsets else None,
     )
     if text.cleared:
@@ -302,7 +319,7 @@ class Mjcf(RobotText):
                 continue
             name = str(model.names[i])
             before, new = self._values[name], dict(values.get(name, {}))
-            if name not in self.robot.joint_names:
+            if name not in values:
                 new = {key: 0.0 for key in attributes if before[key] != 0.0}
             if "armature" not in attributes and before["armature"] != 0.0:
                 new["armature"] = 0.0
@@ -345,14 +362,35 @@ class Mjcf(RobotText):
             elements += tendon_elements(self.robot, i, each, child, parent)
         self._append("tendon", elements)
 
+    def write_motors(self, motors: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write motors that move no joint alone as tendons, whose length is their position."""
+        from lxml import etree
+
+        robot, found = self.robot, etree.Element("tendon")
+        written = {each.get("name", ""): each for each in self.root.findall("tendon/fixed")}
+        own = motor_tendons(robot) if robot.transmission is not None else {}
+        for motor, factors in own.items():
+            tendon = written.get(motor)
+            if tendon is None:
+                tendon = add_tendon(found, {"name": motor}, factors)
+            given = motors.get(motor, {})
+            steep = STEEP if given.get("frictionloss") else {}
+            tendon.attrib.update({key: numbers(value) for key, value in given.items()} | steep)
+        self._append("tendon", list(found))
+        if self.ours and own:
+            drives = [etree.Element("motor", name=motor, tendon=motor) for motor in own]
+            self._append("actuator", drives)
+
     def write_offsets(self, offsets: Mapping[str, float]) -> None:
         """Write constant efforts: what a drive gives beside them moves the joint."""
         from lxml import etree
 
-        elements = []
-        for joint, value in offsets.items():
-            bias = {"biastype": "affine", "biasprm": numbers([-value, 0.0, 0.0])}
-            elements.append(etree.Element("general", joint=joint, gainprm="0", **bias))
+        elements, seats = [], self.robot.seats()
+        for motor, value in offsets.items():
+            joint, factor = seats.get(motor, ("", 1.0))
+            at = {"joint": joint} if joint else {"tendon": motor}
+            bias = {"biastype": "affine", "biasprm": numbers([-value / factor, 0.0, 0.0])}
+            elements.append(etree.Element("general", **at, gainprm="0", **bias))
         self._append("actuator", elements)
 
     def _append(self, name: str, elements: Sequence[Any]) -> None:
@@ -404,15 +442,37 @@ class Mjcf(RobotText):
         found[:, :7] = position[:, :7]
         return found
 
-    def attributes(self) -> tuple[Array, Array, Array]:
-        """Return dry friction, damping and armature (n,) of the robot's coordinates."""
+    def attributes(self) -> dict[str, Any]:
+        """Return dry friction, damping and armature as `file_errors` takes them."""
+        if self.robot.transmission is not None:
+            model, source, motors = self.model.pin_model, self._source, self.robot.joint_names
+            found = source.tendon_values()
+            of_motors = (
+                np.array([found.get(motor, {}).get(key, 0.0) for motor in motors])
+                for key in ("frictionloss", "damping", "armature")
+            )
+            values = (model.friction, model.damping, model.armature)
+            return {"attributes": tuple(of_motors), "behind": tuple(x[self._order] for x in values)}
         damping, dry = self.model.described_friction()
         armature, viscous = added(self._source.tendons(), self.robot.joint_names)
-        return dry, damping + viscous, self.model.described_armature() + armature
+        return {"attributes": (dry, damping + viscous, self.model.described_armature() + armature)}
+
+    def springs(self) -> tuple[Spring, ...]:
+        """Return the springs of the file."""
+        lengths = motor_tendons(self.robot) if self.robot.transmission is not None else {}
+        shifts = {
+            motor: sum(
+                factor * self.robot.offset[self.robot.tree_joints.index(joint)]
+                for joint, factor in factors.items()
+            )
+            for motor, factors in lengths.items()
+        }
+        return tuple(self._source.springs(shifts))
 
     def couplings(self) -> Couplings:
         """Return what tendons do crosswise."""
-        return crosswise(self._source.tendons(), self.robot.joint_names)
+        motors = () if self.robot.transmission is None else self.robot.joint_names
+        return crosswise(self._source.tendons(motors), self.robot.joint_names)
 
 
 def _own(element: Any, tag: str) -> Iterator[Any]:

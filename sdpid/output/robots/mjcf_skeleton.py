@@ -6,6 +6,7 @@ every link stays a body under its name, and every number is written in full.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ from sdpid.robot.model.regressor_kernel import PRISMATIC
 
 # Of two balls that stand for a pin one is this share of the robot's reach along its axis.
 _ALONG = 0.1
+# Factors between joints this small are zero, but for rounding.
+_ROUNDED = 1e-12
 
 
 def inertial_values(body: Inertial) -> dict[str, str]:
@@ -151,14 +154,25 @@ def _add_equalities(robot: RobotModel, root: Any) -> None:
     """Add what joints that mimic others follow, and what closes the loops."""
     from lxml import etree
 
-    model, found = robot.pin_model, etree.Element("equality")
-    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
-        if joint.nv == 1 and name not in robot.joint_names:
-            row = robot.expansion[joint.idx_v]
-            source = int(np.flatnonzero(row)[0]) if row.any() else 0
-            follows = numbers([robot.offset[joint.idx_v], row[source], 0.0, 0.0, 0.0])
-            ends = {"joint1": name, "joint2": robot.joint_names[source]}
-            etree.SubElement(found, "joint", **ends, polycoef=follows)
+    found, tendons = etree.Element("equality"), etree.Element("tendon")
+    names, E, own = robot.tree_joints, robot.expansion, robot.independent()
+    for row in (k for k in range(len(E)) if k not in own):
+        factors = np.linalg.solve(E[own].T, E[row])
+        shift = robot.offset[row] - factors @ robot.offset[own]
+        followed = np.flatnonzero(np.abs(factors) > _ROUNDED)
+        sources = {names[own[k]]: float(factors[k]) for k in followed}
+        if len(sources) > 1:
+            # A length that stays what it is; of two joints there is an equality of their own.
+            name, factors_of = f"{names[row]}_follows", {key: -x for key, x in sources.items()}
+            add_tendon(tendons, {"name": name}, {names[row]: 1.0, **factors_of})
+            kept = numbers([shift, 0.0, 0.0, 0.0, 0.0])
+            etree.SubElement(found, "tendon", tendon1=name, polycoef=kept)
+        else:
+            source, factor = next(iter(sources.items()), (names[own[0]], 0.0))
+            follows = numbers([shift, factor, 0.0, 0.0, 0.0])
+            etree.SubElement(found, "joint", joint1=names[row], joint2=source, polycoef=follows)
+    if len(tendons):
+        root.append(tendons)
     for loop in robot.loops:
         mark = "weld" if loop.kind == "plane" else "connect"
         # A pin is two balls on its axis.
@@ -167,3 +181,25 @@ def _add_equalities(robot: RobotModel, root: Any) -> None:
             etree.SubElement(found, mark, {key: each + end for key, each in names.items()})
     if len(found):
         root.append(found)
+
+
+def add_tendon(parent: Any, attributes: Mapping[str, str], factors: Mapping[str, float]) -> Any:
+    """Add a fixed tendon, whose length is a sum of joints' positions times factors."""
+    from lxml import etree
+
+    tendon = etree.SubElement(parent, "fixed", attributes)
+    for joint, factor in factors.items():
+        etree.SubElement(tendon, "joint", joint=joint, coef=numbers(factor))
+    return tendon
+
+
+def motor_tendons(robot: RobotModel) -> dict[str, dict[str, float]]:
+    """Return the joints' factors in the position of every motor that moves no joint alone."""
+    own, seats = robot.independent(), robot.seats()
+    inverse = np.linalg.inv(robot.expansion[own])
+    names = [robot.tree_joints[k] for k in own]
+    return {
+        motor: {joint: float(x) for joint, x in zip(names, row, strict=True) if abs(x) > _ROUNDED}
+        for motor, row in zip(robot.joint_names, inverse, strict=True)
+        if motor not in seats
+    }

@@ -12,7 +12,13 @@ import numpy as np
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
-from sdpid.output.robots.export_report import PLACES, ExportReport, file_errors
+from sdpid.output.robots.export_report import (
+    PLACES,
+    ExportReport,
+    file_errors,
+    friction_in,
+    of_places,
+)
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.written_bodies import (
     Fixed,
@@ -36,6 +42,8 @@ from sdpid.robot.model.model import RobotModel
 
 # What a joint has once; of two, readers might take either.
 _OF_JOINTS = ("origin", "axis", "limit", "dynamics", "mimic")
+# Where a transmission is, that the file lacks.
+_ASIDE = "load it with load_robot(..., transmission=)"
 
 
 def write_urdf(
@@ -100,6 +108,7 @@ def write_urdf(
     text.write_bodies(bodies, problem.consistency, _asked(fixed, text))
     text.require_unambiguous()
     friction = joint_attributes(problem, theta, PLACES, what)
+    text.write_mimics()
     text.write_joints(friction.values)
     notes, turn = friction.notes, base_turn(robot.gravity, estimate.model().tilted_gravity)
     if not np.array_equal(turn, np.eye(3)):
@@ -107,9 +116,10 @@ def write_urdf(
         angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
         notes += (f"its base stands tilted by {angle:.3g}° on a new root link '{LINK}', as found",)
     seen = robot.with_gravity(turn.T @ robot.gravity)
-    damping, dry = text.read_back(bodies, seen=seen).described_friction()
-    attributes = dry, damping, np.zeros(robot.n)
-    errors = partial(file_errors, estimate, robot=seen, attributes=attributes)
+    damping, dry = friction_in(text.read_back(bodies, seen=seen))
+    errors = partial(file_errors, estimate, robot=seen, **of_places(robot, dry, damping))
+    if robot.transmission is not None:
+        notes += (f"of the transmission a URDF has place for mimic joints alone: {_ASIDE}",)
     return text.save(target, friction, notes, errors)
 
 
@@ -218,13 +228,32 @@ class Urdf(RobotText):
         for joint in self._sources:
             source = self._source(joint)
             # The friction identified at the source joint includes that of its followers.
-            if source in values and self._joints[joint].find("dynamics") is not None:
+            if (
+                source in values
+                and joint not in values
+                and self._joints[joint].find("dynamics") is not None
+            ):
                 written[joint] = dict.fromkeys(values[source], 0.0)
         for name, numbers in written.items():
             attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
             if attributes:
                 child_of(self._joints[name], "dynamics", last=True).attrib.update(attributes)
         self.joints_changed.extend(written)
+
+    def write_mimics(self) -> None:
+        """Write which joints behind the transmission follow one other."""
+        robot, seats = self.robot, self.robot.seats()
+        for k, row in enumerate(robot.expansion if robot.transmission is not None else ()):
+            element, moved = self._joints[robot.tree_joints[k]], np.flatnonzero(row)
+            for mimic in element.findall("mimic"):
+                element.remove(mimic)
+            motor = robot.joint_names[moved[0]] if len(moved) == 1 else ""
+            source, factor = seats.get(motor, (robot.tree_joints[k], 1.0))
+            if source != robot.tree_joints[k]:
+                ratio = float(row[moved[0]]) / factor
+                shift = robot.offset[k] - ratio * robot.offset[robot.tree_joints.index(source)]
+                numbers = {"multiplier": repr(ratio), "offset": repr(float(shift))}
+                child_of(element, "mimic", last=True).attrib.update({"joint": source, **numbers})
 
     def _source(self, joint: str) -> str:
         """Return the joint at the end of a chain of mimic joints."""
@@ -246,7 +275,12 @@ class Urdf(RobotText):
         robot = self.robot
         root: Root | None = "free_flyer" if robot.free_flyer else None
         try:
-            written = load_robot(self.text(), root=root, gravity=robot.gravity.tolist())
+            written = load_robot(
+                self.text(),
+                root=root,
+                gravity=robot.gravity.tolist(),
+                transmission=robot.transmission,
+            )
         except ModelError as cause:
             raise ExportError(
                 f"{self.what}: the changed file cannot be read back ({cause})."

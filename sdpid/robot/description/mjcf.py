@@ -7,7 +7,7 @@ counted first, with all that it includes and repeats, and has a limit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, Mask, frozen
 from sdpid._common.extras import require
 from sdpid._common.files import read_regular
 from sdpid.errors import ModelError
@@ -23,6 +23,7 @@ from sdpid.robot.description.bodies import DescribedBody
 from sdpid.robot.description.loops import Closure
 from sdpid.robot.description.urdf import Mimic
 from sdpid.robot.description.xml import MAX_BYTES, parse_xml
+from sdpid.robot.friction.position import Spring
 from sdpid.robot.inertia import theta_from_physical
 
 # Elements with all that is included and repeated: a scene of a humanoid has some thousands, and
@@ -359,24 +360,64 @@ class MjcfModel:
         moved = set(model.actuator_trnid[:, 0].tolist())
         return [name for i, name in enumerate(self.names) if i not in moved]
 
-    def tendons(self) -> Iterator[MjcfTendon]:
-        """Yield the fixed tendons over two joints."""
+    def lengths(self) -> dict[str, tuple[int, dict[str, float]]]:
+        """Return number and factors by joint of the fixed tendons, by name."""
+        model, found = self.model, dict[str, tuple[int, dict[str, float]]]()
+        for i, first in enumerate(model.tendon_adr.tolist()):
+            if model.wrap_type[first] == self.kinds.mjtWrap.mjWRAP_JOINT:
+                own = range(first, first + int(model.tendon_num[i]))
+                factors = {self.names[model.wrap_objid[k]]: float(model.wrap_prm[k]) for k in own}
+                found[model.tendon(i).name or f"tendon_{i}"] = i, factors
+        return found
+
+    def tendon_values(self) -> dict[str, dict[str, float]]:
+        """Return ``armature``, ``damping`` and ``frictionloss`` of fixed tendons by name."""
+        return {
+            name: {key: float(getattr(self.model, f"tendon_{key}")[i]) for key in _OF_TENDONS}
+            for name, (i, _) in self.lengths().items()
+        }
+
+    def springs(self, tendons: Mapping[str, float]) -> Iterator[Spring]:
+        """Yield the springs of joints, and of tendons that stand for motors.
+
+        Of these the position of the motor where the tendon has no length is given, by name.
+        """
+        model = self.model
+        for i in np.flatnonzero(self._ordinary()).tolist():
+            rest = self._at_joint(model.qpos_spring, i)
+            bent = _bent(model, "jnt", i)
+            yield Spring(self.names[i], float(model.jnt_stiffness[i]), rest, bent)
+        for name, (i, _) in self.lengths().items():
+            if name in tendons and model.tendon_stiffness[i]:
+                rest = float(model.tendon_lengthspring[i, 0]) - tendons[name]
+                bent = _bent(model, "tendon", i)
+                yield Spring(name, float(model.tendon_stiffness[i]), rest, bent)
+
+    def _ordinary(self) -> Mask:
+        """Return which joints have a spring that pulls one angle or way back."""
+        free = self.model.jnt_type == int(self.kinds.mjtJoint.mjJNT_FREE)
+        return np.asarray((self.model.jnt_stiffness > 0.0) & ~free)
+
+    def tendons(self, without: Collection[str] = ()) -> Iterator[MjcfTendon]:
+        """Yield the fixed tendons over two joints, but those of some names."""
         model = self.model
         for i, first in enumerate(model.tendon_adr.tolist()):
             of_joints = model.wrap_type[first] == self.kinds.mjtWrap.mjWRAP_JOINT
-            if model.tendon_num[i] == 2 and of_joints:
+            if model.tendon_num[i] == 2 and of_joints and model.tendon(i).name not in without:
                 one, two = (self.names[model.wrap_objid[k]] for k in (first, first + 1))
                 factors = float(model.wrap_prm[first]), float(model.wrap_prm[first + 1])
                 values = (float(getattr(model, f"tendon_{key}")[i]) for key in _OF_TENDONS)
                 yield MjcfTendon((one, two), factors, *values)
 
     def forces(self) -> Iterator[str]:
-        """Yield springs and compensated gravity, which no term of a robot stands for, in words."""
+        """Yield what no term of a robot stands for, in words.
+
+        These are springs of tendons and of free joints, springs that push away, and compensated
+        gravity.
+        """
         model = self.model
-        for i in np.flatnonzero(model.jnt_stiffness):
-            rest = self._at_joint(model.qpos_spring, int(i))
-            stiffness = f"stiffness {model.jnt_stiffness[i]:.4g}"
-            yield f"spring at {self.names[i]} ({stiffness}, springref {rest:.4g})"
+        for i in np.flatnonzero((model.jnt_stiffness != 0.0) & ~self._ordinary()):
+            yield f"spring at {self.names[i]} (stiffness {model.jnt_stiffness[i]:.4g})"
         for i in np.flatnonzero(model.tendon_stiffness):
             yield f"spring of tendon {i + 1} (stiffness {model.tendon_stiffness[i]:.4g})"
         for i in np.flatnonzero(model.body_gravcomp):
@@ -398,6 +439,13 @@ def _placement(position: Any, quaternion: Any) -> Any:
 
     w, x, y, z = quaternion
     return pin.SE3(pin.Quaternion(w, x, y, z).normalized().matrix(), np.array(position))
+
+
+def _bent(model: Any, kind: str, number: int) -> tuple[float, ...]:
+    """Return the square's and the cube's share in a spring; older MuJoCo has none."""
+    found = getattr(model, f"{kind}_stiffnesspoly", None)
+    values = [] if found is None else found[number].tolist()
+    return tuple(values) if any(values) else ()
 
 
 def quaternion_of(rotation: Array) -> Array:

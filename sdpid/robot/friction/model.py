@@ -7,7 +7,7 @@ The interface of a term is in `sdpid.robot.friction.term`, the terms themselves 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
@@ -148,11 +148,20 @@ class FrictionModel:
         """Return each term's kind, its settings, and its parameters' names, as plain values."""
         out: list[dict[str, object]] = []
         for term in self.terms:
-            settings: dict[str, object] = asdict(term) if is_dataclass(term) else {}
-            plain = {k: list(v) if isinstance(v, tuple) else v for k, v in settings.items()}
+            names = [each.name for each in fields(term)] if is_dataclass(term) else []
+            plain = {name: _told(getattr(term, name)) for name in names}
             names = [p.name for p in term.parameters(self.joint_names)]
             out.append({"term": type(term).__name__, **plain, "parameters": names})
         return out
+
+
+def _told(value: object) -> object:
+    """Return a setting of a term as plain values; functions by their names."""
+    if isinstance(value, FrictionTerm):
+        return repr(value)
+    if callable(value):
+        return getattr(value, "__name__", type(value).__name__)
+    return [_told(each) for each in value] if isinstance(value, tuple) else value
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -14,6 +14,8 @@ from sdpid.errors import ModelError
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm, OfMotion, SampledMotion, TermParameter
 
+# Parameters of a spring that is not linear.
+_BENT = ("Kq", "Kc")
 # The number of a joint at the end of a parameter's name.
 _NUMBER = re.compile(r"\d+$")
 
@@ -47,15 +49,17 @@ class _AtJoint(FrictionTerm):
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the shapes of the joint's position, on the joints that move it."""
-        direction, offset = _direction(type(self).__name__, self.joint, motion.robot, joint_names)
-        first = motion.robot.n_base
+        robot = motion.robot
+        direction, offset = _direction(type(self).__name__, self.joint, robot, joint_names)
 
         def shapes(positions: Array) -> Array:
             return self._shapes(positions[:, -len(direction) :] @ direction + offset)
 
-        if first:
+        # Configurations of a floating base hold joints that turn without end as two numbers.
+        if robot.n_base and robot.pin_model.nq != 7 + len(joint_names):
             raise ModelError(
-                f"{type(self).__name__}: the base of '{motion.robot.name}' floats; leave it out."
+                f"{type(self).__name__}: the base of '{robot.name}' floats, and joints mimic others "
+                "or turn without end; leave it out."
             )
         return np.asarray(motion.along(shapes)[:, None, :] * direction[:, None])
 
@@ -80,12 +84,12 @@ def _direction(
             f"{what}: the robot has no joint '{joint}'; it has {', '.join(joint_names)}{more}."
         )
     factors, offset = rows[joint]
-    return factors, float(offset)
+    return factors[robot.n_base :], float(offset)
 
 
 @dataclass(frozen=True)
 class Spring(_AtJoint):
-    """A linear spring about a joint: the effort ``K·(q − rest)`` holds against it.
+    """A spring about a joint: the effort ``K·(q − rest)`` holds against it.
 
     Attributes
     ----------
@@ -96,6 +100,9 @@ class Spring(_AtJoint):
     rest : float, optional
         Position at which it is slack, where that is known, rad (m). Where it is not, the parameter
         Kr is stiffness times rest, N·m.
+    polynomial : tuple of float, optional
+        Known factors of the square and the cube of the way from rest, N·m/rad² and N·m/rad³, as
+        MuJoCo has them; the rest is then known too.
 
     Examples
     --------
@@ -108,12 +115,20 @@ class Spring(_AtJoint):
     joint: str
     stiffness: float | None = None
     rest: float | None = None
+    polynomial: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "rest"):
             value = getattr(self, name)
             if value is not None and not np.isfinite(value):
                 raise ModelError(f"Spring: {name} is {value!r:.80}; give a finite number.")
+        object.__setattr__(self, "polynomial", tuple(self.polynomial))
+        bent = self.polynomial
+        if len(bent) > len(_BENT) or not np.isfinite(bent).all() or (bent and self.rest is None):
+            raise ModelError(
+                f"Spring: polynomial is {bent!r:.80}; give at most two finite numbers, and the "
+                "rest with them."
+            )
         if self.stiffness is not None and self.stiffness < 0.0:
             raise ModelError(
                 f"Spring: stiffness is {self.stiffness}, the least is 0; a PositionTerm may push "
@@ -122,14 +137,19 @@ class Spring(_AtJoint):
 
     def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
         own = (("K", "N.m/rad", True), ("Kr", "N.m", False))
-        return own if self.rest is None else own[:1]
+        if self.rest is None:
+            return own
+        return (own[0], *((each, "1", False) for each in _BENT[: len(self.polynomial)]))
 
     def _known(self, symbol: str) -> float | None:
+        if symbol in _BENT:
+            return self.polynomial[_BENT.index(symbol)]
         return self.stiffness if symbol == "K" else None
 
     def _shapes(self, position: Array) -> Array:
         if self.rest is not None:
-            return (position - self.rest)[:, None]
+            powers = np.arange(1, 2 + len(self.polynomial))
+            return np.asarray((position - self.rest)[:, None] ** powers)
         return np.stack([position, -np.ones_like(position)], axis=1)
 
 
@@ -172,6 +192,7 @@ class PositionTerm(_AtJoint):
     value: float | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "count", int(self.count))
         if callable(self.function):
             return
         try:
@@ -267,7 +288,7 @@ class AtJoints(FrictionTerm):
 
     Attributes
     ----------
-    term : FrictionTerm
+    friction : FrictionTerm
         What acts on each of the joints.
     joints : tuple of str
         The joints.
@@ -280,23 +301,25 @@ class AtJoints(FrictionTerm):
     ('Fv_joint_2', 'Fv_joint_3')
     """
 
-    term: FrictionTerm
+    friction: FrictionTerm
     joints: tuple[str, ...]
     posed: ClassVar[bool] = True
 
     columns = PosedTerm.columns
 
     def __post_init__(self) -> None:
-        if not isinstance(self.term, FrictionTerm) or isinstance(self.term, AtJoints | _AtJoint):
+        if not isinstance(self.friction, FrictionTerm) or isinstance(
+            self.friction, _AtJoint | AtJoints
+        ):
             raise ModelError(
-                f"AtJoints: {self.term!r:.80} is no term of several joints; give one such as "
+                f"AtJoints: {self.friction!r:.80} is no term of several joints; give one such as "
                 "friction.Viscous(). Springs and terms of the position name their joint themselves."
             )
         object.__setattr__(self, "joints", tuple(self.joints))
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return those of the term, called by the joints' names."""
-        found = self.term.parameters(self.joints)
+        found = self.friction.parameters(self.joints)
         return tuple(
             replace(
                 each,
@@ -325,14 +348,9 @@ class AtJoints(FrictionTerm):
             robot=motion.robot,
             through_filter=None if through is None else through_filter,
         )
-        columns = self.term.columns_in(own, self.joints)
+        columns = self.friction.columns_in(own, self.joints)
         return np.asarray(np.einsum("jn,kjp->knp", directions, columns))
 
     def with_values(self, values: Sequence[float]) -> FrictionTerm:
         """Return a copy with values for the open parameters of its term."""
-        return replace(self, term=self.term.with_values(values))
-
-
-POSITION_TERMS: Mapping[str, type[FrictionTerm]] = {
-    each.__name__: each for each in (Spring, PositionTerm, Hysteresis)
-}
+        return replace(self, friction=self.friction.with_values(values))

@@ -13,6 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import plain
 from sdpid.errors import ModelError
 from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
+from sdpid.robot.friction.position import AtJoints, Hysteresis, PositionTerm, Spring
 from sdpid.robot.friction.term import (
     SLOWEST,
     EffortCurve,
@@ -510,7 +511,10 @@ BY_NAME: dict[str, type[FrictionTerm]] = {
 
 # The classes whose settings say everything about a term; a class of someone else's may hold code.
 CLASSES = {each.__name__: each for each in BY_NAME.values()}
-CLASSES |= {each.__name__: each for each in (Coupling, PositionFriction)}
+CLASSES |= {
+    each.__name__: each
+    for each in (AtJoints, Coupling, Hysteresis, PositionFriction, PositionTerm, Spring)
+}
 
 
 def term_to_dict(term: FrictionTerm) -> dict[str, Any]:
@@ -527,7 +531,16 @@ def term_to_dict(term: FrictionTerm) -> dict[str, Any]:
             f"friction: {name} is a class of your own, which no file can hold; its settings alone "
             "do not say what it computes."
         )
-    return {"term": name, **{each: plain(getattr(term, each)) for each in _settings(type(term))}}
+    settings = {each: getattr(term, each) for each in _settings(type(term))}
+    if code := [each for each, value in settings.items() if callable(value)]:
+        raise ModelError(
+            f"friction: {code[0]} of {name} is code of your own, which no file can hold; give a "
+            "table in its place."
+        )
+    return {"term": name} | {
+        each: term_to_dict(value) if isinstance(value, FrictionTerm) else plain(value)
+        for each, value in settings.items()
+    }
 
 
 def term_from_dict(given: Mapping[str, Any]) -> FrictionTerm:
@@ -564,8 +577,10 @@ def _value(value: Any) -> Any:
     """Return what JSON holds as a setting is held: numbers as floats, lists as tuples."""
     if isinstance(value, list):
         return tuple(_value(each) for each in value)
-    if value is None or isinstance(value, str):
+    if isinstance(value, Mapping):
+        return term_from_dict(value)
+    if value is None or isinstance(value, str | bool):
         return value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"a setting is {value!r:.80}")
     return float(value)

@@ -49,6 +49,15 @@ class States(NamedTuple):
         return values[0] if self.single else values
 
 
+def spring_efforts(robot: RobotModel, position: Array) -> Array:
+    """Return the efforts (K, n) of the springs in a description of a robot on a fixed base."""
+    rest = np.zeros_like(position)
+    motion = SampledMotion(position=position, velocity=rest, acceleration=rest, robot=robot)
+    terms = FrictionModel.from_terms(robot.springs, robot.joint_names)
+    values = [0.0 if each.value is None else each.value for each in terms.parameters]
+    return np.asarray(terms.columns_in(motion) @ np.array(values))
+
+
 def is_single(values: ArrayLike) -> bool:
     """Return whether values are one state, and not many."""
     try:

@@ -106,7 +106,8 @@ def load_robot(
                 f"{found.what}: an MJCF says itself whether its base floats, and this one's is "
                 "fixed; give its first body a <freejoint/>, or leave root out."
             )
-        facts |= {"forces": tuple(mjcf.forces()), "actuators": tuple(mjcf.actuators())}
+        facts |= {name: tuple(getattr(mjcf, name)()) for name in ("forces", "actuators")}
+        facts["springs"] = tuple(mjcf.springs({}))
         # Joints that no actuator moves have none at all in most files: a loop tells that they
         # matter. Where the file's joints are zero its loops are closed.
         passive = {name: 0.0 for name in mjcf.passive() if loops and name in robot.joint_names}

@@ -19,6 +19,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.description.loops import Loop
 from sdpid.robot.description.urdf import Mimic, pinocchio_from_urdf
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.coordinates import coordinate_names, expand_mimics, link_names, sliding
@@ -62,8 +63,12 @@ class RobotModel:
         About where each of these is while those with motors are at zero, rad or m: which of the
         ways it is in which the loops can be closed.
     forces, actuators : tuple of str
-        What an MJCF has and the model has not, in words: springs and compensated gravity, and
-        actuators with gains or gears.
+        What an MJCF has and the model has not, in words: springs of tendons and compensated
+        gravity, and actuators with gains or gears.
+    springs : tuple of Spring
+        Springs of the description, which `identify` takes as known unless it is given others.
+    transmission : mapping or None
+        How the joints follow the motors, as `load_robot` takes it, where they do.
 
     Examples
     --------
@@ -93,6 +98,8 @@ class RobotModel:
     assembled: tuple[float, ...] = ()
     forces: tuple[str, ...] = ()
     actuators: tuple[str, ...] = ()
+    springs: tuple[FrictionTerm, ...] = ()
+    transmission: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         joints = self.joint_names[self.n_base :]
@@ -284,12 +291,41 @@ class RobotModel:
     def single_joints(self) -> list[tuple[int, Any]]:
         """Return (column, Pinocchio joint) of each coordinate that is one joint of its own."""
         columns = {name: j for j, name in enumerate(self.joint_names)}
-        model = self.pin_model
+        model, units = self.pin_model, np.eye(self.n)
+        own = [(columns.get(model.names[i]), model.joints[i]) for i in range(1, model.njoints)]
+        # A motor may have the name of a joint that it does not move alone.
         return [
-            (columns[model.names[i]], model.joints[i])
-            for i in range(1, model.njoints)
-            if model.names[i] in columns
+            (j, joint)
+            for j, joint in own
+            if j is not None and np.array_equal(self.expansion[joint.idx_v], units[j])
         ]
+
+    def seats(self) -> dict[str, tuple[str, float]]:
+        """Return by coordinate a joint that it alone moves, and by which factor, if there is one.
+
+        A joint of the coordinate's own name comes first.
+        """
+        found: dict[str, tuple[str, float]] = {}
+        for joint, row in zip(self.tree_joints, self.expansion, strict=True):
+            moved = np.flatnonzero(row)
+            if len(moved) == 1:
+                name = self.joint_names[moved[0]]
+                if name not in found or joint == name:
+                    found[name] = joint, float(row[moved[0]])
+        return found
+
+    def independent(self) -> list[int]:
+        """Return n of Pinocchio's coordinates that the others, and the motors, follow from."""
+        seats = self.seats()
+        first = [
+            self.tree_joints.index(seats[name][0]) for name in self.joint_names if name in seats
+        ]
+        found: list[int] = []
+        for row in [*first, *range(len(self.expansion))]:
+            rank = np.linalg.matrix_rank(self.expansion[[*found, row]])
+            if row not in found and rank > len(found):
+                found.append(row)
+        return sorted(found)
 
     @property
     def reach(self) -> float:
@@ -311,7 +347,7 @@ class RobotModel:
         for column, joint in self.single_joints():
             own = ends[joint.idx_q]
             if joint.nq == 1 and own.any() and max(-own[0], own[1]) < _UNLIMITED:
-                limits[column] = own
+                limits[column] = own - self.offset[joint.idx_v]
         return limits
 
     def described_friction(self) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import tomllib
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.tables import plain
 from sdpid.errors import ModelError
 from sdpid.robot.model.model import RobotModel
 
@@ -107,6 +108,8 @@ class Transmission:
             motor_6 = -0.5
             offset = 0.1
 
+        Or it has `matrix`, `offset`, `names` and `joints`, as `to_dict` gives them.
+
         Raises
         ------
         ModelError
@@ -121,6 +124,10 @@ class Transmission:
                 given = tomllib.loads(Path(given).read_text(encoding="utf-8"))
             except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as cause:
                 raise ModelError(f"{what}: {cause}.") from None
+        if isinstance(given, Mapping) and "matrix" in given:
+            if unknown := sorted(map(str, given.keys() - {each.name for each in fields(cls)})):
+                raise ModelError(f"{what}: has {', '.join(unknown)}, which is not known.")
+            return cls(**given)
         rows = given.get("joints") if isinstance(given, Mapping) else None
         if not isinstance(rows, Mapping) or not rows or set(given) - {"joints"}:
             raise ModelError(
@@ -138,8 +145,14 @@ class Transmission:
         offset = [row.get("offset", 0.0) for row in rows.values()]
         return cls(matrix, offset, names, tuple(rows))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, which `of` takes."""
+        return plain(vars(self))
+
     def applied(self, robot: RobotModel) -> RobotModel:
         """Return a robot whose coordinates are those of the motors.
+
+        Joints that mimic another, and are named, follow the motors in place of it.
 
         Raises
         ------
@@ -148,17 +161,18 @@ class Transmission:
         """
         assert self.names is not None
         assert self.offset is not None
-        own = robot.joint_names
-        if robot.n_base or robot.loops:
+        own, tree = robot.joint_names, robot.tree_joints
+        if robot.n_base or robot.loops or robot.transmission is not None:
             raise ModelError(
-                f"transmission: '{robot.name}' has a floating base or loops, which are not "
-                "supported; describe its joints as a tree on a fixed base."
+                f"transmission: '{robot.name}' has a floating base, loops or a transmission "
+                "already; these are not supported with one. Describe its joints as a tree on a "
+                "fixed base."
             )
         joints = own if self.joints is None else self.joints
-        if unknown := [name for name in joints if name not in own]:
+        if unknown := [name for name in joints if name not in tree]:
             raise ModelError(
                 f"transmission: '{robot.name}' has no joint {', '.join(unknown)}; it has "
-                f"{', '.join(own)}."
+                f"{', '.join(tree)}."
             )
         if len(joints) != len(self.matrix):
             raise ModelError(
@@ -178,15 +192,26 @@ class Transmission:
             raise ModelError(
                 f"transmission: {', '.join(repeated)} is a motor, and a joint that no row names."
             )
+        if not taken:
+            raise ModelError(
+                f"transmission: {', '.join(joints)} mimic joints that no row names; name these too."
+            )
         matrix, offset = np.zeros((len(own), len(names))), np.zeros(len(own))
         for name in others:
             matrix[own.index(name), names.index(name)] = 1.0
-        rows = [own.index(name) for name in joints]
         columns = [names.index(name) for name in self.names]
-        matrix[np.ix_(rows, columns)], offset[rows] = self.matrix, self.offset
+        for name, row, shift in zip(joints, self.matrix, self.offset, strict=True):
+            if name in own:
+                matrix[own.index(name), columns], offset[own.index(name)] = row, shift
+        expansion = robot.expansion @ matrix
+        offset = robot.expansion @ offset + robot.offset
+        for name, row, shift in zip(joints, self.matrix, self.offset, strict=True):
+            expansion[tree.index(name)], offset[tree.index(name)] = 0.0, shift
+            expansion[tree.index(name), columns] = row
         return replace(
             robot,
             joint_names=tuple(names),
-            expansion=frozen(robot.expansion @ matrix),
-            offset=frozen(robot.expansion @ offset + robot.offset),
+            expansion=frozen(expansion),
+            offset=frozen(offset),
+            transmission=Transmission(self.matrix, self.offset, self.names, joints).to_dict(),
         )

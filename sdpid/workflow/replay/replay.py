@@ -285,7 +285,8 @@ class _Rerun:
             if is_xacro(description):
                 return None
             text = without_level(description.text)
-            robot = load_robot(text, root=recipe.root, gravity=recipe.gravity)
+            given = {k: v for k, v in recipe.arguments.items() if k != "xacro_args"}
+            robot = load_robot(text, **given)
         except ModelError:
             return None
         return robot if kinematics_digest(robot) == recipe.kinematics else None

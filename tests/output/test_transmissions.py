@@ -1,0 +1,219 @@
+"""Robots with springs and transmissions through files: results, URDF and MJCF."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import ModelError
+from sdpid.estimation.estimate import Estimate
+from sdpid.friction import (
+    AtJoints,
+    Coulomb,
+    Hysteresis,
+    PositionTerm,
+    RotorInertia,
+    Spring,
+    Viscous,
+)
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.terms import term_from_dict, term_to_dict
+from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.workflow.result import Identification
+from tests.helpers.data import random_links
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import described_arm
+
+# Motors that move the last two joints together.
+WRIST = {
+    "joints": {
+        "joint_4": {"left": 0.5, "right": 0.5, "offset": 0.1},
+        "joint_5": {"left": 0.5, "right": -0.5},
+    }
+}
+# A bar that follows two motors, a rod that follows one.
+BARS = {
+    "joints": {
+        "joint_2": {"shoulder": 2.0},
+        "joint_3": {"shoulder": -1.0, "elbow": 1.0, "offset": 0.2},
+        "joint_4": {"elbow": 1.0},
+        "joint_5": {"shoulder": 0.7, "offset": -0.3},
+    }
+}
+TERMS = (
+    *("viscous", "rotor_inertia", Spring("joint_1", rest=0.2), Spring("joint_5")),
+    AtJoints(Viscous(), ("joint_3",)),
+    AtJoints(RotorInertia(), ("joint_4",)),
+)
+VALUES = {"K1": 40.0, "K_joint_5": 25.0, "Kr_joint_5": 4.0, "Fv_joint_3": 2.0}
+
+
+def described(transmission: Any, seed: int = 3) -> sdpid.RobotModel:
+    text = described_arm(random_links(np.random.default_rng(seed), 5)).urdf
+    return sdpid.load_robot(text, transmission=transmission)
+
+
+def motion(n: int, seconds: float = 10.0) -> tuple[Array, Array, Array]:
+    rng, time = np.random.default_rng(0), np.arange(0.0, seconds, 0.01)
+    rates, phases = rng.uniform(0.5, 5.0, (4, n)), rng.uniform(0.0, 6.0, (4, n))
+    angle = rates * time[:, None, None] + phases
+    waves = np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle)
+    q, v, a = (0.25 * each.sum(axis=1) for each in waves)
+    return q, v, a
+
+
+def truth(robot: sdpid.RobotModel, terms: tuple[Any, ...]) -> RobotDynamics:
+    """Return the described links with terms whose parameters are one, but for `VALUES`."""
+    model = FrictionModel.from_terms(terms, robot.joint_names)
+    numbers = [VALUES.get(p.name, 1.0) if p.value is None else p.value for p in model.parameters]
+    theta = np.concatenate([robot.prior.ravel(), numbers])
+    return RobotDynamics(robot=robot, terms=model, theta=theta)
+
+
+def identified(robot: sdpid.RobotModel, terms: tuple[Any, ...] = TERMS) -> Estimate:
+    q, v, a = motion(robot.n)
+    effort = truth(robot, terms).inverse_dynamics(q, v, a)
+    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    return sdpid.solve_sdp(
+        sdpid.build_problem(robot, samples, friction=terms, weighting="residual")
+    )
+
+
+def in_mujoco(file: Path, robot: sdpid.RobotModel, *states: Array) -> Array:
+    """Return the motors' efforts in MuJoCo; its equalities hold, and do no work."""
+    model = mujoco.MjModel.from_xml_path(str(file))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    data, E = mujoco.MjData(model), robot.expansion
+    q, v, a = states[0] @ E.T + robot.offset, states[1] @ E.T, states[2] @ E.T
+    out = np.empty_like(q)
+    for k in range(len(q)):
+        data.qpos, data.qvel, data.qacc = q[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        out[k] = data.qfrc_inverse
+    return out @ E
+
+
+@pytest.mark.parametrize("transmission", [WRIST, BARS, None], ids=["wrist", "bars", "none"])
+def test_mujoco_asks_for_the_same_efforts(tmp_path: Path, transmission: Any):
+    robot = described(transmission)
+    estimate = identified(robot)
+    report = sdpid.write_mjcf(estimate, target=tmp_path / "arm.xml")
+    assert not report.left_out
+    states = [each[::50] for each in motion(robot.n)]
+    expected = estimate.model().inverse_dynamics(*states)
+    found = in_mujoco(tmp_path / "arm.xml", robot, *states)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    # What was written is read again: the springs as known ones.
+    again = sdpid.load_robot(tmp_path / "arm.xml", transmission=transmission)
+    assert [each.joint for each in again.springs] == ["joint_1", "joint_5"]
+    second = identified(again, (*TERMS[:2], *again.springs, *TERMS[4:]))
+    sdpid.write_mjcf(second, target=tmp_path / "again.xml", source=tmp_path / "arm.xml")
+    expected = second.model().inverse_dynamics(*states)
+    found = in_mujoco(tmp_path / "again.xml", robot, *states)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_equalities_hold_where_the_motors_take_the_joints(tmp_path: Path):
+    robot = described(BARS)
+    sdpid.write_mjcf(identified(robot), target=tmp_path / "arm.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    assert model.neq == 2
+    data = mujoco.MjData(model)
+    for m in motion(robot.n)[0][::200]:
+        data.qpos = robot.expansion @ m + robot.offset
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(data.efc_pos[: model.neq], 0.0, atol=1e-12)
+
+
+def test_a_urdf_has_the_joints_that_follow_one_other(tmp_path: Path):
+    robot = described(BARS)
+    report = sdpid.write_urdf(identified(robot), target=tmp_path / "arm.urdf")
+    assert "has place for mimic joints alone" in report.describe()
+    plain = sdpid.load_robot(tmp_path / "arm.urdf")
+    assert plain.joint_names == ("joint_1", "joint_2", "joint_3", "joint_4")
+    assert plain.expansion[4, 1] == pytest.approx(0.35)
+    assert plain.offset[4] == pytest.approx(-0.3)
+    again = sdpid.load_robot(tmp_path / "arm.urdf", transmission=BARS)
+    np.testing.assert_array_equal(again.expansion, robot.expansion)
+
+
+@cache
+def run(folder: Path) -> tuple[Identification, sdpid.Recording]:
+    robot, rng = described(WRIST), np.random.default_rng(1)
+    cam = PositionTerm(((-1.0, 0.0, 1.0), (1.0, 0.0, 1.0)), "cam", joint="joint_2")
+    terms = (
+        *("coulomb", "viscous", Spring("joint_4")),
+        *(AtJoints(Viscous(), ("joint_5",)), cam, Hysteresis("joint_3", (0.05, 0.2))),
+    )
+    q, v, a = motion(robot.n, 20.0)
+    effort = truth(robot, terms).inverse_dynamics(q, v, a)
+    effort += rng.normal(0.0, 0.02, effort.shape)
+    log = sdpid.Recording(
+        time=0.01 * np.arange(len(q)), position=q, effort=effort, joint_names=robot.joint_names
+    )
+    result = sdpid.identify(robot, log, friction=terms, effects="none")
+    result.save(folder)
+    return result, log
+
+
+@pytest.mark.slow
+def test_results_are_saved_verified_and_loaded(tmp_path: Path):
+    result, log = run(tmp_path / "results")
+    found = sdpid.verify(tmp_path / "results", data=log)
+    assert found.passed, found.problems
+    assert any("identified.urdf" in each for each in found.made_again)
+    assert any("is the same" in each and "identified.xml" in each for each in found.made_again)
+    states = [each[:20] for each in motion(result.problem.robot.n)]
+    loaded = sdpid.load(tmp_path / "results").model()
+    np.testing.assert_array_equal(
+        loaded.inverse_dynamics(*states), result.model().inverse_dynamics(*states)
+    )
+
+
+KEPT = [
+    Spring("joint_1", stiffness=3.0),
+    Spring("joint_1", stiffness=3.0, rest=0.1, polynomial=(1.0, 2.0)),
+    PositionTerm(((0.0, 1.0), (2.0, 3.0)), "cam", joint="joint_2", nonnegative=True, value=1.0),
+    Hysteresis("joint_2", (0.1, 0.2)),
+    AtJoints(Coulomb(width=(0.1, 0.2)), ("joint_2", "joint_3")),
+]
+
+
+@pytest.mark.parametrize("term", KEPT, ids=[type(each).__name__ for each in KEPT])
+def test_terms_are_kept_in_files(term: sdpid.friction.FrictionTerm):
+    assert term_from_dict(term_to_dict(term)) == term
+
+
+def test_code_of_ones_own_is_kept_in_no_file():
+    term = PositionTerm(np.sin, "cam", joint="joint_2")
+    refuses(ModelError, "function of PositionTerm is code of your own", lambda: term_to_dict(term))
+
+
+BENT = """
+<mujoco><compiler angle="radian"/><worldbody><body>
+<joint name="a" axis="0 1 0" stiffness="{}" springref="0.2"/>
+<inertial mass="2" pos="0.1 0.02 -0.2" fullinertia="0.04 0.05 0.02 0.001 0.002 0.003"/>
+</body></worldbody></mujoco>
+"""
+
+
+@pytest.mark.parametrize("stiffness", ["30", "30 5 7"])
+def test_springs_of_a_description_are_known(tmp_path: Path, stiffness: str):
+    file = tmp_path / "a.xml"
+    file.write_text(BENT.format(stiffness))
+    robot, (q, v, a) = sdpid.load_robot(file), motion(1, 20.0)
+    effort = in_mujoco(file, robot, q, v, a)
+    log = sdpid.Recording(time=0.01 * np.arange(len(q)), position=q, effort=effort)
+    result = sdpid.identify(robot, log, friction=("viscous",), effects="none", intervals=False)
+    assert result.problem.friction.terms[1:] == robot.springs
+    assert any("springs of the description" in each for each in result.notes)
+    sdpid.write_mjcf(result.estimate, target=tmp_path / "b.xml", source=file)
+    assert sdpid.load_robot(tmp_path / "b.xml").springs == robot.springs
+    free = Spring("a", rest=0.2, polynomial=robot.springs[0].polynomial)
+    anew = sdpid.identify(robot, log, friction=("viscous", free), effects="none", intervals=False)
+    assert anew.estimate.named_theta()["K1"] == pytest.approx(30.0, rel=0.02)
