@@ -108,6 +108,10 @@ def test_mujoco_asks_for_the_same_efforts(tmp_path: Path, transmission: Any):
     expected = estimate.model().inverse_dynamics(*states)
     found = in_mujoco(tmp_path / "arm.xml", robot, *states)
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    if transmission is WRIST:
+        own = sdpid.load_robot(tmp_path / "arm.xml", transmission="description")
+        np.testing.assert_allclose(own.expansion, robot.expansion, atol=1e-15)
+        assert own.joint_names == robot.joint_names
     # What was written is read again: the springs as known ones.
     again = sdpid.load_robot(tmp_path / "arm.xml", transmission=transmission)
     assert [each.joint for each in again.springs] == ["joint_1", "joint_5"]

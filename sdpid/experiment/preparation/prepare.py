@@ -525,7 +525,7 @@ def friction_of(
 def moved_by_springs(robot: RobotModel, terms: Iterable[Any]) -> frozenset[str]:
     """Return the joints on which given terms of the position act."""
     rows = dict(zip(robot.tree_joints, robot.expansion, strict=True))
-    names = {getattr(each, "joint", None) for each in terms}
+    names = {str(getattr(each, "joint", "")) for each in terms}
     found = names & {*robot.joint_names}
     for name in names & {*rows} - found:
         found |= {n for n, x in zip(robot.joint_names, rows[name], strict=True) if x}

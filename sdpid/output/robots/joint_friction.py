@@ -203,8 +203,8 @@ def joint_attributes(
         for joint, each in zip(places.joints, bent_friction(part.term, part.values), strict=True)
     }
     if bends:
-        own = np.array([bends[joint].own for joint in places.joints])
-        values[Coulomb] = values.get(Coulomb, 0.0) + own
+        constant = np.array([bends[joint].own for joint in places.joints])
+        values[Coulomb] = values.get(Coulomb, 0.0) + constant
         worst = max(bends, key=lambda joint: bends[joint].error)
         notes += (
             f"friction over position is {sum(len(x.tendons) for x in bends.values())} tendons, "
@@ -216,10 +216,10 @@ def joint_attributes(
             seats.add(joint, kind, attributes[kind], float(value))
     for part in places.behind:
         assert isinstance(part.term, AtJoints)
+        own = type(part.term.friction)
+        assert issubclass(own, JointwiseTerm)
         for joint, value in zip(part.term.joints, part.values, strict=True):
-            seats.add(
-                joint, type(part.term.friction), attributes[type(part.term.friction)], float(value)
-            )
+            seats.add(joint, own, attributes[own], float(value))
     for part in places.springs:
         seats.add_spring(part)
     if seats.motors and not springs:

@@ -377,8 +377,12 @@ class Mjcf(RobotText):
             steep = STEEP if given.get("frictionloss") else {}
             tendon.attrib.update({key: numbers(value) for key, value in given.items()} | steep)
         self._append("tendon", list(found))
-        if self.ours and own:
-            drives = [etree.Element("motor", name=motor, tendon=motor) for motor in own]
+        if self.ours and robot.transmission is not None:
+            drives = []
+            for motor in robot.joint_names:
+                joint, factor = robot.seats().get(motor, ("", 1.0))
+                at = {"joint": joint, "gear": numbers(1.0 / factor)} if joint else {"tendon": motor}
+                drives.append(etree.Element("motor", name=motor, **at))
             self._append("actuator", drives)
 
     def write_offsets(self, offsets: Mapping[str, float]) -> None:
@@ -459,15 +463,7 @@ class Mjcf(RobotText):
 
     def springs(self) -> tuple[Spring, ...]:
         """Return the springs of the file."""
-        lengths = motor_tendons(self.robot) if self.robot.transmission is not None else {}
-        shifts = {
-            motor: sum(
-                factor * self.robot.offset[self.robot.tree_joints.index(joint)]
-                for joint, factor in factors.items()
-            )
-            for motor, factors in lengths.items()
-        }
-        return tuple(self._source.springs(shifts))
+        return tuple(self._source.springs(self.robot))
 
     def couplings(self) -> Couplings:
         """Return what tendons do crosswise."""

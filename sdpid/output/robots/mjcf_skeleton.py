@@ -163,8 +163,8 @@ def _add_equalities(robot: RobotModel, root: Any) -> None:
         sources = {names[own[k]]: float(factors[k]) for k in followed}
         if len(sources) > 1:
             # A length that stays what it is; of two joints there is an equality of their own.
-            name, factors_of = f"{names[row]}_follows", {key: -x for key, x in sources.items()}
-            add_tendon(tendons, {"name": name}, {names[row]: 1.0, **factors_of})
+            name, others = f"{names[row]}_follows", {key: -x for key, x in sources.items()}
+            add_tendon(tendons, {"name": name}, {names[row]: 1.0, **others})
             kept = numbers([shift, 0.0, 0.0, 0.0, 0.0])
             etree.SubElement(found, "tendon", tendon1=name, polycoef=kept)
         else:
@@ -177,8 +177,8 @@ def _add_equalities(robot: RobotModel, root: Any) -> None:
         mark = "weld" if loop.kind == "plane" else "connect"
         # A pin is two balls on its axis.
         for end in ("", "/axis") if loop.kind == "line" else ("",):
-            names = {"name": loop.name, "site1": loop.frame, "site2": loop.against}
-            etree.SubElement(found, mark, {key: each + end for key, each in names.items()})
+            ends = {"name": loop.name, "site1": loop.frame, "site2": loop.against}
+            etree.SubElement(found, mark, {key: each + end for key, each in ends.items()})
     if len(found):
         root.append(found)
 

@@ -7,7 +7,7 @@ counted first, with all that it includes and repeats, and has a limit.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -218,6 +218,8 @@ class MjcfModel:
         Joints that an active equality makes follow another.
     closures : list of Closure
         Loops that active equalities close.
+    kept : list
+        Factors by joint of fixed tendons that active equalities keep at a length, and the length.
     others : list of str
         Kinds of the other active equalities.
     """
@@ -240,6 +242,7 @@ class MjcfModel:
             self._add(body)
         self.mimics: list[Mimic] = []
         self.closures: list[Closure] = []
+        self.kept: list[tuple[dict[str, float], float]] = []
         self.others: list[str] = []
         for number in np.flatnonzero(model.eq_active0).tolist():
             self._add_equality(number)
@@ -314,6 +317,9 @@ class MjcfModel:
         data = model.eq_data[number].tolist()
         if kind in ("connect", "weld"):
             self.closures.append(self._closure(number, kind, (first, second), data))
+        elif kind == "tendon" and second < 0 and self._of_joints(first):
+            value = float(model.tendon_length0[first]) + data[0]
+            self.kept.append((self._factors(first), value))
         elif kind != "joint" or second < 0 or any(data[2:5]):
             self.others.append(kind)
         else:
@@ -362,13 +368,32 @@ class MjcfModel:
 
     def lengths(self) -> dict[str, tuple[int, dict[str, float]]]:
         """Return number and factors by joint of the fixed tendons, by name."""
-        model, found = self.model, dict[str, tuple[int, dict[str, float]]]()
-        for i, first in enumerate(model.tendon_adr.tolist()):
-            if model.wrap_type[first] == self.kinds.mjtWrap.mjWRAP_JOINT:
-                own = range(first, first + int(model.tendon_num[i]))
-                factors = {self.names[model.wrap_objid[k]]: float(model.wrap_prm[k]) for k in own}
-                found[model.tendon(i).name or f"tendon_{i}"] = i, factors
+        return {
+            self.model.tendon(i).name or f"tendon_{i}": (i, self._factors(i))
+            for i in range(self.model.ntendon)
+            if self._of_joints(i)
+        }
+
+    def motors(self) -> dict[str, dict[str, float]]:
+        """Return factors by joint of the fixed tendons that actuators pull, by these, gears in."""
+        model, found = self.model, dict[str, dict[str, float]]()
+        of_tendons = model.actuator_trntype == int(self.kinds.mjtTrn.mjTRN_TENDON)
+        for i in np.flatnonzero(of_tendons & (model.actuator_gainprm[:, 0] != 0.0)).tolist():
+            tendon, gear = int(model.actuator_trnid[i, 0]), float(model.actuator_gear[i, 0])
+            if self._of_joints(tendon):
+                name = model.actuator(i).name or f"motor_{i + 1}"
+                found[name] = {joint: gear * x for joint, x in self._factors(tendon).items()}
         return found
+
+    def _of_joints(self, tendon: int) -> bool:
+        """Return whether a tendon is a sum of joints' positions."""
+        first = self.model.wrap_type[self.model.tendon_adr[tendon]]
+        return bool(first == self.kinds.mjtWrap.mjWRAP_JOINT)
+
+    def _factors(self, tendon: int) -> dict[str, float]:
+        model, first = self.model, int(self.model.tendon_adr[tendon])
+        own = range(first, first + int(model.tendon_num[tendon]))
+        return {self.names[model.wrap_objid[k]]: float(model.wrap_prm[k]) for k in own}
 
     def tendon_values(self) -> dict[str, dict[str, float]]:
         """Return ``armature``, ``damping`` and ``frictionloss`` of fixed tendons by name."""
@@ -377,21 +402,39 @@ class MjcfModel:
             for name, (i, _) in self.lengths().items()
         }
 
-    def springs(self, tendons: Mapping[str, float]) -> Iterator[Spring]:
-        """Yield the springs of joints, and of tendons that stand for motors.
+    def springs(self, robot: Any) -> Iterator[Spring]:
+        """Yield the springs of joints, and of fixed tendons that one coordinate of a robot moves.
 
-        Of these the position of the motor where the tendon has no length is given, by name.
+        `robot` is the `RobotModel` with these joints, and perhaps a transmission.
         """
         model = self.model
         for i in np.flatnonzero(self._ordinary()).tolist():
             rest = self._at_joint(model.qpos_spring, i)
             bent = _bent(model, "jnt", i)
             yield Spring(self.names[i], float(model.jnt_stiffness[i]), rest, bent)
-        for name, (i, _) in self.lengths().items():
-            if name in tendons and model.tendon_stiffness[i]:
-                rest = float(model.tendon_lengthspring[i, 0]) - tendons[name]
-                bent = _bent(model, "tendon", i)
-                yield Spring(name, float(model.tendon_stiffness[i]), rest, bent)
+        for i, (j, gear, shift) in self._moved(robot).items():
+            rest = (float(model.tendon_lengthspring[i, 0]) - shift) / gear
+            powers = [float(model.tendon_stiffness[i]), *_bent(model, "tendon", i)]
+            first, *more = (x * gear ** (k + 2) for k, x in enumerate(powers))
+            yield Spring(robot.joint_names[j], first, rest, tuple(more))
+
+    def _moved(self, robot: Any) -> dict[int, tuple[int, float, float]]:
+        """Return by tendon with a spring the one coordinate that moves it, its factor and length.
+
+        The length is that at zero.
+        """
+        places = {name: k for k, name in enumerate(robot.tree_joints)}
+        model, found = self.model, dict[int, tuple[int, float, float]]()
+        for i in np.flatnonzero(model.tendon_stiffness > 0.0).tolist():
+            if not self._of_joints(i) or np.ptp(model.tendon_lengthspring[i]) > 0.0:
+                continue
+            rows = [(places[name], x) for name, x in self._factors(i).items()]
+            gears = sum(x * robot.expansion[k] for k, x in rows)
+            moved = np.flatnonzero(np.abs(gears) > 1e-12 * np.abs(gears).max())
+            if len(moved) == 1 and moved[0] >= robot.n_base:
+                shift = float(sum(x * robot.offset[k] for k, x in rows))
+                found[i] = int(moved[0]), float(gears[moved[0]]), shift
+        return found
 
     def _ordinary(self) -> Mask:
         """Return which joints have a spring that pulls one angle or way back."""
@@ -402,23 +445,24 @@ class MjcfModel:
         """Yield the fixed tendons over two joints, but those of some names."""
         model = self.model
         for i, first in enumerate(model.tendon_adr.tolist()):
-            of_joints = model.wrap_type[first] == self.kinds.mjtWrap.mjWRAP_JOINT
+            of_joints = self._of_joints(i)
             if model.tendon_num[i] == 2 and of_joints and model.tendon(i).name not in without:
                 one, two = (self.names[model.wrap_objid[k]] for k in (first, first + 1))
                 factors = float(model.wrap_prm[first]), float(model.wrap_prm[first + 1])
                 values = (float(getattr(model, f"tendon_{key}")[i]) for key in _OF_TENDONS)
                 yield MjcfTendon((one, two), factors, *values)
 
-    def forces(self) -> Iterator[str]:
+    def forces(self, robot: Any) -> Iterator[str]:
         """Yield what no term of a robot stands for, in words.
 
-        These are springs of tendons and of free joints, springs that push away, and compensated
-        gravity.
+        These are springs of tendons over several coordinates and of free joints, springs that push
+        away, and compensated gravity.
         """
         model = self.model
         for i in np.flatnonzero((model.jnt_stiffness != 0.0) & ~self._ordinary()):
             yield f"spring at {self.names[i]} (stiffness {model.jnt_stiffness[i]:.4g})"
-        for i in np.flatnonzero(model.tendon_stiffness):
+        moved = self._moved(robot)
+        for i in (k for k in np.flatnonzero(model.tendon_stiffness) if k not in moved):
             yield f"spring of tendon {i + 1} (stiffness {model.tendon_stiffness[i]:.4g})"
         for i in np.flatnonzero(model.body_gravcomp):
             yield f"gravcomp {model.body_gravcomp[i]:.4g} of body {model.body(i).name}"

@@ -148,8 +148,8 @@ class FrictionModel:
         """Return each term's kind, its settings, and its parameters' names, as plain values."""
         out: list[dict[str, object]] = []
         for term in self.terms:
-            names = [each.name for each in fields(term)] if is_dataclass(term) else []
-            plain = {name: _told(getattr(term, name)) for name in names}
+            own = [*fields(term)] if is_dataclass(term) else list[Any]()
+            plain = {each.name: _told(getattr(term, each.name)) for each in own}
             names = [p.name for p in term.parameters(self.joint_names)]
             out.append({"term": type(term).__name__, **plain, "parameters": names})
         return out

@@ -58,8 +58,8 @@ class _AtJoint(FrictionTerm):
         # Configurations of a floating base hold joints that turn without end as two numbers.
         if robot.n_base and robot.pin_model.nq != 7 + len(joint_names):
             raise ModelError(
-                f"{type(self).__name__}: the base of '{robot.name}' floats, and joints mimic others "
-                "or turn without end; leave it out."
+                f"{type(self).__name__}: the base of '{robot.name}' floats, and joints mimic "
+                "others or turn without end; leave it out."
             )
         return np.asarray(motion.along(shapes)[:, None, :] * direction[:, None])
 

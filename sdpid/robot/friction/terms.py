@@ -577,7 +577,7 @@ def _value(value: Any) -> Any:
     """Return what JSON holds as a setting is held: numbers as floats, lists as tuples."""
     if isinstance(value, list):
         return tuple(_value(each) for each in value)
-    if isinstance(value, Mapping):
+    if isinstance(value, Mapping) and "term" in value:
         return term_from_dict(value)
     if value is None or isinstance(value, str | bool):
         return value

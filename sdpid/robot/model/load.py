@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from sdpid._common.files import Source
 from sdpid.errors import ModelError
@@ -18,9 +21,14 @@ from sdpid.robot.description.urdf import pinocchio_from_urdf
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import Description, is_mjcf, is_xml, read_description
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.transmission import Transmission
+from sdpid.robot.model.transmission import Transmission, of_elements, of_lengths
 
 Root = Literal["free_flyer"]
+
+# The word for the transmission that a description has itself, and the ending of a file beside it.
+DESCRIBED, _BESIDE = "description", ".transmission.toml"
+# Lengths of tendons that are kept agree with a transmission to this, rad or m.
+_KEPT = 1e-9
 
 
 def load_robot(
@@ -54,9 +62,11 @@ def load_robot(
         Gravity in the base link; by default (0, 0, -9.81) m/s², or the model's or the MJCF's own.
     xacro_args : mapping, optional
         Values of the arguments of a xacro file.
-    transmission : Transmission, mapping, or path of a TOML file, optional
-        How the joints follow the motors, where recordings are of these (see
-        docs/guides/transmissions.md).
+    transmission : Transmission, mapping, path of a TOML file, or "description", optional
+        How the joints follow the motors, where recordings are of these: by default what a file
+        ``ROBOT.transmission.toml`` beside ``ROBOT.urdf`` says, if there is one. ``"description"``
+        takes the motors of an MJCF's fixed tendons, or of the elements ``<transmission>`` that ROS
+        reads of a URDF (see docs/guides/transmissions.md).
 
     Returns
     -------
@@ -83,7 +93,7 @@ def load_robot(
     if not isinstance(source, (str, os.PathLike)):
         if root is not None:
             raise ModelError("root: a pinocchio.Model already has its root; leave it out.")
-        return _behind(RobotModel.from_pinocchio(source, gravity=gravity), transmission)
+        return _behind(RobotModel.from_pinocchio(source, gravity=gravity), transmission, None)
     found, default_gravity = _find(source)
     if gravity is None:
         gravity = default_gravity
@@ -91,6 +101,7 @@ def load_robot(
     folder = None if found.path is None else found.path.parent
     found = expand_xacro(found, xacro_args)
     facts: dict[str, Any] = {"source": origin, "folder": folder}
+    mjcf: Any = None
     if is_mjcf(found.text, found.what):
         mjcf = read_mjcf(found.text, found.what, path=found.path)
         if mjcf.others:
@@ -106,11 +117,11 @@ def load_robot(
                 f"{found.what}: an MJCF says itself whether its base floats, and this one's is "
                 "fixed; give its first body a <freejoint/>, or leave root out."
             )
-        facts |= {name: tuple(getattr(mjcf, name)()) for name in ("forces", "actuators")}
-        facts["springs"] = tuple(mjcf.springs({}))
+        facts["actuators"] = tuple(mjcf.actuators())
         # Joints that no actuator moves have none at all in most files: a loop tells that they
         # matter. Where the file's joints are zero its loops are closed.
         passive = {name: 0.0 for name in mjcf.passive() if loops and name in robot.joint_names}
+        own = partial(_of_mjcf, robot, mjcf, found.what)
     else:
         model, mimics, described = pinocchio_from_urdf(
             found.text, found.what, floating=root is not None
@@ -118,13 +129,54 @@ def load_robot(
         facts["loops"] = add_loops(model, urdf_closures(described, found.what), found.what)
         robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
         passive = urdf_passive(described, found.what)
+        own = partial(_of_urdf, described, found.what)
     found_robot = replace(robot, **facts, passive=tuple(passive), assembled=tuple(passive.values()))
-    return _behind(found_robot, transmission)
+    if transmission is None and found.path is not None:
+        beside = found.path.with_name(f"{found.path.stem}{_BESIDE}")
+        transmission = beside if beside.is_file() else None
+    moved = _behind(found_robot, transmission, own)
+    if mjcf is None:
+        return moved
+    for lengths, value in mjcf.kept:
+        rows = {moved.tree_joints.index(name): factor for name, factor in lengths.items()}
+        change = sum(factor * moved.expansion[k] for k, factor in rows.items())
+        length = sum(factor * moved.offset[k] for k, factor in rows.items())
+        if np.abs([*np.atleast_1d(change), length - value]).max() > _KEPT:
+            raise ModelError(
+                f"{found.what}: an equality keeps a tendon over {', '.join(lengths)} at a length "
+                "that changes by the given transmission; say there how these joints follow."
+            )
+    return replace(moved, springs=tuple(mjcf.springs(moved)), forces=tuple(mjcf.forces(moved)))
 
 
-def _behind(robot: RobotModel, transmission: Any) -> RobotModel:
-    """Return a robot behind a transmission, if there is one."""
+def _behind(
+    robot: RobotModel, transmission: Any, own: Callable[[bool], Transmission | None] | None
+) -> RobotModel:
+    """Return a robot behind a transmission, if there is one.
+
+    That of the description is asked whether with its motors.
+    """
+    described = isinstance(transmission, str) and transmission == DESCRIBED
+    if described and own is None:
+        raise ModelError(f"transmission: '{robot.name}' is no URDF and no MJCF; give numbers.")
+    if own is not None and (described or transmission is None):
+        transmission = own(described)
     return robot if transmission is None else Transmission.of(transmission).applied(robot)
+
+
+def _of_mjcf(robot: RobotModel, mjcf: Any, what: str, motors: bool) -> Transmission | None:
+    """Return how joints follow one another, and the motors of tendons where these are asked for."""
+    pulled = mjcf.motors() if motors else {}
+    if motors and not pulled:
+        raise ModelError(
+            f"{what}: no motor pulls at a fixed tendon; give transmission= as numbers."
+        )
+    return of_lengths(robot, pulled, mjcf.kept) if pulled or mjcf.kept else None
+
+
+def _of_urdf(root: Any, what: str, motors: bool) -> Transmission | None:
+    """Return the transmission of a URDF's elements where it is asked for."""
+    return of_elements(root, what) if motors else None
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,22 @@ import tomllib
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen, real_array
-from sdpid._common.tables import plain
+from sdpid._common.tables import plain_dict
 from sdpid.errors import ModelError
 from sdpid.robot.model.model import RobotModel
 
 # Motors that are dependent by more than this share cannot be told apart by any motion.
 _RANK = 1e-9
+# Factors of joints below this are rounding.
+_ROUNDED = 1e-12
+# Factors of joints in the length of a tendon.
+Lengths = Mapping[str, float]
+# Of ROS: number of joints, and factors of motor 1 and 2 in joint 1, of motor 2 in joint 2.
+_KINDS: dict[str, tuple[int, float, float, float]] = {
+    "SimpleTransmission": (1, 1.0, 0.0, 0.0),
+    "DifferentialTransmission": (2, 0.5, 0.5, -0.5),
+    "FourBarLinkageTransmission": (2, 1.0, 0.0, 1.0),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +157,7 @@ class Transmission:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, which `of` takes."""
-        return plain(vars(self))
+        return plain_dict(vars(self))
 
     def applied(self, robot: RobotModel) -> RobotModel:
         """Return a robot whose coordinates are those of the motors.
@@ -164,9 +174,8 @@ class Transmission:
         own, tree = robot.joint_names, robot.tree_joints
         if robot.n_base or robot.loops or robot.transmission is not None:
             raise ModelError(
-                f"transmission: '{robot.name}' has a floating base, loops or a transmission "
-                "already; these are not supported with one. Describe its joints as a tree on a "
-                "fixed base."
+                f"transmission: '{robot.name}' has a floating base or loops, or a transmission "
+                "already, which are not supported; describe its joints as a tree on a fixed base."
             )
         joints = own if self.joints is None else self.joints
         if unknown := [name for name in joints if name not in tree]:
@@ -215,3 +224,116 @@ class Transmission:
             offset=frozen(offset),
             transmission=Transmission(self.matrix, self.offset, self.names, joints).to_dict(),
         )
+
+
+def of_lengths(
+    robot: RobotModel, motors: Mapping[str, Lengths], kept: Iterable[tuple[Lengths, float]]
+) -> Transmission | None:
+    """Return the transmission of an MJCF's fixed tendons; None where joints are independent.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Whose joints they move; some may mimic others.
+    motors : mapping
+        Factors by joint of the tendons that motors pull, by the motors' names.
+    kept : iterable
+        Factors of tendons whose length stays what it is, and these lengths.
+
+    Raises
+    ------
+    ModelError
+        When motors are too few or too many, or what is kept holds joints still.
+    """
+    tree, E = robot.tree_joints, robot.expansion
+
+    def row(factors: Lengths) -> Array:
+        return np.array([factors.get(name, 0.0) for name in tree])
+
+    # What joints follow already: those that mimic others.
+    fixed = [(row(lengths), value) for lengths, value in kept]
+    for k, name in enumerate(tree):
+        if name not in robot.joint_names:
+            sources = {robot.joint_names[j]: -E[k, j] for j in np.flatnonzero(E[k]).tolist()}
+            fixed.append((row({name: 1.0} | sources), float(robot.offset[k])))
+    pulled = {motor: row(lengths) for motor, lengths in motors.items()}
+    if not pulled and len(fixed) == len(tree) - robot.n:
+        return None
+    rows, names = [each for each, _ in fixed] + list(pulled.values()), [*pulled]
+    if rows and np.linalg.matrix_rank(rows) < len(rows):
+        raise ModelError(
+            f"transmission: tendons of '{robot.name}' ({', '.join(names) or 'kept'}) move its "
+            "joints alike; leave out those that follow from others."
+        )
+    for name in robot.joint_names:
+        # Joints of their own: what no tendon pulls, or moves only with a joint before it.
+        if np.linalg.matrix_rank([*rows, row({name: 1.0})]) > len(rows):
+            rows.append(row({name: 1.0}))
+            names.append(name)
+    inverse = np.linalg.inv(rows)
+    matrix = np.where(np.abs(inverse) > _ROUNDED, inverse, 0.0)
+    values = np.array([value for _, value in fixed])
+    first = {
+        name: min(np.flatnonzero(matrix[:, len(fixed) + k]).tolist())
+        for k, name in enumerate(names)
+    }
+    order = sorted(range(len(names)), key=lambda k: first[names[k]])
+    columns = [len(fixed) + k for k in order]
+    offset = matrix[:, : len(fixed)] @ values
+    return Transmission(matrix[:, columns], offset, [names[k] for k in order], tree)
+
+
+def of_elements(root: Any, what: str) -> Transmission:
+    """Return the transmission that elements ``<transmission>`` of a URDF say, as ROS reads them.
+
+    Raises
+    ------
+    ModelError
+        When there are none, or one is of a kind that is not known.
+    """
+    rows: dict[str, dict[str, float]] = {}
+    for element in root.iter("transmission"):
+        name = element.get("name", "?")
+        kind = "".join(element.findtext(t) or "" for t in ("type", "plugin")) or element.get(
+            "type", ""
+        )
+        joints, motors = (_ends(element, mark, f"{what}: {name}") for mark in ("joint", "actuator"))
+        known = _KINDS.get(kind.strip().rpartition("/")[2])
+        if known is None or (len(joints), len(motors)) != (known[0], known[0]):
+            raise ModelError(
+                f"{what}: transmission '{name}' is of the kind {kind.strip()!r:.80} with "
+                f"{len(joints)} joints and {len(motors)} actuators; known are "
+                f"{', '.join(_KINDS)} of one or two each."
+            )
+        (j, j_ratio, shift), (m, m_ratio, _) = joints[0], motors[0]
+        if len(joints) == 1:
+            rows[j] = {m: 1.0 / (m_ratio * j_ratio), "offset": shift}
+            continue
+        (j2, j2_ratio, shift2), (m2, m2_ratio, _) = joints[1], motors[1]
+        half, both, other = known[1:]
+        rows[j] = {m: half / (m_ratio * j_ratio), m2: both / (m2_ratio * j_ratio), "offset": shift}
+        first = half / m_ratio if both else -half / (m_ratio * j_ratio)
+        rows[j2] = {m: first / j2_ratio, m2: other / (m2_ratio * j2_ratio), "offset": shift2}
+    if not rows:
+        raise ModelError(f"{what}: has no <transmission>; give transmission= as numbers.")
+    return Transmission.of({"joints": rows})
+
+
+def _ends(element: Any, mark: str, what: str) -> list[tuple[str, float, float]]:
+    """Return names, reductions and offsets of a transmission's joints or actuators by role."""
+    found = []
+    for number, each in enumerate(element.findall(mark), 1):
+        role = each.findtext("role") or each.get("role") or f"{mark}{number}"
+        texts = [each.findtext(tag) for tag in ("mechanicalReduction", "mechanical_reduction")]
+        try:
+            ratio = float(next((text for text in texts if text), "1"))
+            shift = float(each.findtext("offset") or "0")
+        except ValueError:
+            ratio, shift = 0.0, 0.0
+        if not ratio or not np.isfinite([ratio, shift]).all():
+            raise ModelError(
+                f"{what}: reduction or offset of {mark} '{each.get('name')}' is no finite number, "
+                "or a reduction of zero."
+            )
+        found.append((role.strip(), (str(each.get("name")), ratio, shift)))
+    return [end for _, end in sorted(found)]
