@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,12 +13,23 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.simulation.kernels.linked import entries
-from sdpid.experiment.simulation.kernels.links import KINDS, LOADING, TILTED, Robot, memory_for
+from sdpid.experiment.simulation.kernels.links import (
+    KINDS,
+    LOADING,
+    PLAY,
+    POWERS,
+    TABLE,
+    TILTED,
+    Robot,
+    memory_for,
+)
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, PositionFriction, Tilt
+from sdpid.robot.friction.position import AtJoints, Hysteresis, PositionTerm, Spring, direction
 from sdpid.robot.friction.term import simulated_curves
 from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.robot.model.model import RobotModel
 
 # Numba compiles for writable C-contiguous arrays of doubles.
 _COMPILED_FOR: tuple[Literal["C", "A", "W"], ...] = ("C", "A", "W")
@@ -60,11 +73,6 @@ class SimulatedArm:
         require_fixed_robot(robot, "simulation")
         require_open_chain(robot, "simulation")
         tree, own_v = robot.tree, robot.tree.first_v
-        if tree.column.shape[1] > 1:
-            raise ModelError(
-                f"simulation: joints of '{robot.name}' are moved by several motors at once, which "
-                "is not simulated; predict efforts with problem.predict, or write an MJCF."
-            )
         bodies = np.array(model.theta[: 10 * robot.n_links]).reshape(-1, 10)
         # Bodies and their gravity: the robot's, those of a tilt, and those that carry load.
         packs = [bodies, np.zeros_like(bodies), np.zeros_like(bodies)]
@@ -75,10 +83,11 @@ class SimulatedArm:
                 packs[at] = np.array(robot.prior if term.bodies is None else term.bodies)
             if isinstance(term, Tilt):
                 gravity[TILTED] = coefficients[own] @ term.change(robot.gravity)
-        friction = _friction(terms, coefficients)
+        friction = _friction(robot, terms, coefficients)
+        column = np.where(tree.factor[own_v] != 0.0, tree.column[own_v], -1)
         arrays = Robot(
-            tree=_packed([tree.kind, tree.parent, tree.column[own_v, 0]]),
-            angles=_packed([tree.factor[own_v, 0], np.asarray(robot.offset)[own_v]]),
+            tree=_packed(np.vstack([tree.kind, tree.parent, column.T])),
+            angles=_packed(np.vstack([np.asarray(robot.offset)[own_v], tree.factor[own_v].T])),
             turn=_packed(tree.turn),
             place=_packed(np.concatenate([tree.place, tree.axis[:, None]], axis=1)),
             bodies=_packed(packs),
@@ -157,12 +166,16 @@ class SimulatedArm:
         return np.require(array, np.float64, _COMPILED_FOR)
 
 
-def _friction(terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
+# What moves something, and by which factors, one for each coordinate of the robot.
+_Direction: TypeAlias = Array
+
+
+def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
     """Return what terms say of their simulation, gathered in the arrays of a `Robot`.
 
-    The last column of jumps says where friction of the load adds to them.
+    The fourth column of jumps says where friction of the load adds to them.
     """
-    n = len(terms.joint_names)
+    n, names = len(terms.joint_names), terms.joint_names
     viscous, constant, load = np.zeros((n, n)), np.zeros(n), np.zeros((n, 4))
     parabolas, kinds = np.zeros((n, 5)), {type(term) for term in terms.terms}
     if {LoadFriction, PositionFriction} <= kinds:
@@ -170,15 +183,26 @@ def _friction(terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
             "simulation: friction of the load and over position together are not simulated; "
             "identify with one of them."
         )
-    curves: list[tuple[float, ...]] = []
-    jumps: dict[tuple[int, int, float], Array] = {}
+    curves: list[tuple[tuple[int, int], _Direction, tuple[float, ...]]] = []
+    jumps: dict[tuple[float, ...], Array] = {}
+    pulls = list[_Pull]()
     for term, own in terms.placed:
-        for part in simulated_curves(term, coefficients[own], terms.joint_names):
+        values, joints, D = coefficients[own], names, np.eye(n)
+        if isinstance(term, Spring | PositionTerm | Hysteresis):
+            pulls += _pulls(term, values, robot, names)
+            continue
+        if isinstance(term, AtJoints):
+            joints, term = term.joints, term.friction
+            D = np.array([direction("AtJoints", each, robot, names)[0] for each in joints])
+        for part in simulated_curves(term, values, joints):
             i, j = part.joints
+            way = D[i] + (D[j] if j >= 0 and part.kind != "slope" else 0.0)
+            if not way.any():
+                continue
             if part.kind == "slope":
-                viscous[i, j] += part.size
+                viscous += part.size * np.outer(D[i], D[j])
             elif part.kind == "constant":
-                constant[i] += part.size
+                constant += part.size * D[i]
             elif part.kind == "load":
                 load[i] = (part.size, *part.numbers)
             elif part.kind == "position":
@@ -188,25 +212,95 @@ def _friction(terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
                 parabolas[i, :2] = part.numbers[:2]
             elif part.kind == "jump":
                 ends = np.array([part.numbers[1], part.size])
-                key = (i, j, part.numbers[0])
+                key = (part.numbers[0], *way.tolist())
                 jumps[key] = jumps.get(key, 0.0) + ends
             else:
-                kind = KINDS.index(part.kind)
-                curves.append((i, j, kind, part.side, part.size, *part.numbers))
-    table, keys = np.reshape(curves, (-1, 8)), np.reshape(list(jumps), (-1, 3))
+                numbers = (part.size, *part.numbers)
+                curves.append(((KINDS.index(part.kind), part.side), way, numbers))
     exact = (load[:, 0] != 0.0) & (load[:, 3] == 0.0)
-    rubs = [j < 0 and speed == 0.0 and exact[i] for i, j, speed in jumps]
+    speeds = np.array([key[0] for key in jumps])
+    ways = [np.array(key[1:]) for key in jumps]
+    rubs = [
+        bool(speed == 0.0 and np.count_nonzero(way) == 1 and exact @ (way == 1.0))
+        for speed, way in zip(speeds, ways, strict=True)
+    ]
     ends = np.reshape(list(jumps.values()), (-1, 2))
+    every = [*(way for _, way, _ in curves), *ways, *(pull.way for pull in pulls)]
+    width = max([2, *(int(np.count_nonzero(way)) for way in every)])
+    which, factors = _sparse([way for _, way, _ in curves], width)
+    contacts, shares = _sparse(ways, width)
+    pulled, parts = _sparse([pull.way for pull in pulls], width)
+    # Tables stand one after the other.
+    sizes = np.cumsum([0, *(pull.points.shape[1] for pull in pulls)])
+    heads = [(pull.kind, *ends) for pull, ends in zip(pulls, pairwise(sizes.tolist()), strict=True)]
     return {
         "viscous": viscous,
         "constant": constant,
         "load": load,
         "parabolas": parabolas,
-        "which": table[:, :4].astype(np.int64),
-        "curves": table[:, 4:],
-        "contacts": keys[:, :2].astype(np.int64),
-        "jumps": np.column_stack([keys[:, 2], ends, np.array(rubs, dtype=np.float64)]),
+        "which": np.hstack([_ints([kind for kind, _, _ in curves], 2), which]),
+        "curves": np.hstack([np.reshape([each for _, _, each in curves], (-1, 4)), factors]),
+        "contacts": contacts,
+        "jumps": np.column_stack([speeds, ends, np.array(rubs, dtype=np.float64), shares]),
+        "pulled": np.hstack([_ints(heads, 3), pulled]),
+        "pulls": np.hstack([np.reshape([pull.numbers for pull in pulls], (-1, 5)), parts]),
+        "points": np.hstack([np.zeros((2, 0)), *(pull.points for pull in pulls)]),
     }
+
+
+class _Pull(NamedTuple):
+    """An effort by position: its kind, direction, numbers (5,) and table (2, T)."""
+
+    kind: int
+    way: _Direction
+    numbers: tuple[float, ...]
+    points: Array = np.zeros((2, 0))
+
+
+def _pulls(
+    term: Spring | PositionTerm | Hysteresis,
+    values: Array,
+    robot: RobotModel,
+    names: tuple[str, ...],
+) -> Iterator[_Pull]:
+    """Yield the efforts by position of a term.
+
+    Raises
+    ------
+    ModelError
+        For a function of one's own.
+    """
+    way, shift = direction(type(term).__name__, term.joint, robot, names)
+    if isinstance(term, Hysteresis):
+        for value, slip in zip(values.tolist(), term.slips, strict=True):
+            yield _Pull(PLAY, way, (shift, value, slip, 0.0, 0.0))
+    elif isinstance(term, PositionTerm):
+        if callable(term.function):
+            raise ModelError(
+                f"simulation: PositionTerm {term.name} has a function of your own, which is not "
+                "simulated; give a table in its place."
+            )
+        yield _Pull(TABLE, way, (shift, float(values[0]), 0.0, 0.0, 0.0), np.array(term.function))
+    elif term.rest is None:
+        yield _Pull(POWERS, way, (shift, 0.0, float(values[0]), 0.0, 0.0))
+        # Stiffness times rest is a table of one value.
+        yield _Pull(TABLE, way, (shift, -float(values[1]), 0.0, 0.0, 0.0), np.array([[0.0], [1.0]]))
+    else:
+        powers = (*values.tolist(), 0.0, 0.0)[:3]
+        yield _Pull(POWERS, way, (shift, term.rest, *powers))
+
+
+def _sparse(ways: list[_Direction], width: int) -> tuple[Any, Array]:
+    """Return coordinates, -1 for none, and factors of directions, (m, width) each."""
+    columns, factors = -np.ones((len(ways), width), dtype=np.int64), np.zeros((len(ways), width))
+    for k, way in enumerate(ways):
+        moved = np.flatnonzero(way)
+        columns[k, : len(moved)], factors[k, : len(moved)] = moved, way[moved]
+    return columns, factors
+
+
+def _ints(rows: list[Any], width: int) -> Any:
+    return np.reshape(np.array(rows, dtype=np.int64), (-1, width))
 
 
 def _packed(values: Any) -> Any:

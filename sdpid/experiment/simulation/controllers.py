@@ -526,4 +526,5 @@ def inverse_dynamics_slopes(
         found[0], found[1], found[2] = data.dtau_dq, data.dtau_dv, data.M
         found[2][below] = found[2].T[below]
         slopes[:, k] = E.T @ found @ E
+    slopes[0] += model.stiffness(q)
     return slopes[0], slopes[1], slopes[2]

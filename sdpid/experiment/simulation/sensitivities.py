@@ -194,6 +194,6 @@ def _friction_slopes(model: RobotDynamics, v: Array) -> Array:
 
 def _jumps(arm: SimulatedArm) -> Array:
     """Return by how much each joint's friction jumps at zero velocity, (n,), N·m."""
-    (joint, other), (speed, low, high, _) = arm.arrays.contacts.T, arm.arrays.jumps.T
+    (joint, other), (speed, low, high) = arm.arrays.contacts.T[:2], arm.arrays.jumps.T[:3]
     here = (other < 0) & (speed == 0.0)
     return np.asarray(np.bincount(joint[here], high[here] - low[here], arm.n), dtype=np.float64)

@@ -320,7 +320,7 @@ class Mjcf(RobotText):
             name = str(model.names[i])
             before, new = self._values[name], dict(values.get(name, {}))
             if name not in values:
-                new = {key: 0.0 for key in attributes if before[key] != 0.0}
+                new = {key: 0.0 for key in attributes if before.get(key)}
             if "armature" not in attributes and before["armature"] != 0.0:
                 new["armature"] = 0.0
                 self.cleared.append(name)

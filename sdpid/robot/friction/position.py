@@ -20,7 +20,7 @@ _BENT = ("Kq", "Kc")
 _NUMBER = re.compile(r"\d+$")
 
 
-class _AtJoint(FrictionTerm):
+class OneJoint(FrictionTerm):
     """A base of terms that act on one joint, at any speed."""
 
     # A joint whose position is recorded, or one behind a transmission.
@@ -50,10 +50,10 @@ class _AtJoint(FrictionTerm):
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the shapes of the joint's position, on the joints that move it."""
         robot = motion.robot
-        direction, offset = _direction(type(self).__name__, self.joint, robot, joint_names)
+        way, offset = direction(type(self).__name__, self.joint, robot, joint_names)
 
         def shapes(positions: Array) -> Array:
-            return self._shapes(positions[:, -len(direction) :] @ direction + offset)
+            return self._shapes(positions[:, -len(way) :] @ way + offset)
 
         # Configurations of a floating base hold joints that turn without end as two numbers.
         if robot.n_base and robot.pin_model.nq != 7 + len(joint_names):
@@ -61,16 +61,14 @@ class _AtJoint(FrictionTerm):
                 f"{type(self).__name__}: the base of '{robot.name}' floats, and joints mimic "
                 "others or turn without end; leave it out."
             )
-        return np.asarray(motion.along(shapes)[:, None, :] * direction[:, None])
+        return np.asarray(motion.along(shapes)[:, None, :] * way[:, None])
 
     def _shapes(self, position: Array) -> Array:
         """Return the efforts (K, parameters) of parameters of one at positions (K,) in time."""
         raise NotImplementedError
 
 
-def _direction(
-    what: str, joint: str, robot: Any, joint_names: Sequence[str]
-) -> tuple[Array, float]:
+def direction(what: str, joint: str, robot: Any, joint_names: Sequence[str]) -> tuple[Array, float]:
     """Return how a joint's position follows the recorded ones: factors (n,) and an offset."""
     if joint in joint_names:
         return np.eye(len(joint_names))[joint_names.index(joint)], 0.0
@@ -88,7 +86,7 @@ def _direction(
 
 
 @dataclass(frozen=True)
-class Spring(_AtJoint):
+class Spring(OneJoint):
     """A spring about a joint: the effort ``K·(q − rest)`` holds against it.
 
     Attributes
@@ -154,7 +152,7 @@ class Spring(_AtJoint):
 
 
 @dataclass(frozen=True)
-class PositionTerm(_AtJoint):
+class PositionTerm(OneJoint):
     """Efforts that are known functions of a joint's position: a cable, a counterbalance, cogging.
 
     Attributes
@@ -238,7 +236,7 @@ class PositionTerm(_AtJoint):
 
 
 @dataclass(frozen=True)
-class Hysteresis(_AtJoint):
+class Hysteresis(OneJoint):
     """Dry friction that builds up over a way: springs in parallel that slip, one behind the other.
 
     An element of weight F pulls by ``F·(q − z)/slip``, where z follows q at a distance of at most
@@ -308,12 +306,11 @@ class AtJoints(FrictionTerm):
     columns = PosedTerm.columns
 
     def __post_init__(self) -> None:
-        if not isinstance(self.friction, FrictionTerm) or isinstance(
-            self.friction, _AtJoint | AtJoints
-        ):
+        if not isinstance(self.friction, FrictionTerm) or self.friction.posed:
             raise ModelError(
-                f"AtJoints: {self.friction!r:.80} is no term of several joints; give one such as "
-                "friction.Viscous(). Springs and terms of the position name their joint themselves."
+                f"AtJoints: {self.friction!r:.80} is no term of several joints' motion alone; give "
+                "one such as friction.Viscous(). Springs and terms of the position name their "
+                "joint themselves."
             )
         object.__setattr__(self, "joints", tuple(self.joints))
 
@@ -331,8 +328,8 @@ class AtJoints(FrictionTerm):
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the term's columns at the motion of its joints, on the joints that move them."""
-        found = [_direction("AtJoints", j, motion.robot, joint_names) for j in self.joints]
-        directions = np.array([direction for direction, _ in found])
+        found = [direction("AtJoints", j, motion.robot, joint_names) for j in self.joints]
+        directions = np.array([way for way, _ in found])
         offsets = np.array([offset for _, offset in found])
         n, through = directions.shape[1], motion.through_filter
 

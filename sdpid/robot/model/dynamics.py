@@ -15,6 +15,7 @@ from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.friction.model import FrictionModel, JointCurve, default_velocities, joint_number
 from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.position import AtJoints, OneJoint
 from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 from sdpid.robot.model.model import RobotModel, each_state
 
@@ -23,6 +24,9 @@ from sdpid.robot.model.model import RobotModel, each_state
 # of the largest of them; gears that lose all of their load do not settle, and do not move either.
 _SETTLED = 1e-12
 _ROUNDS = 100
+
+# Half a step of positions, rad or m, over which springs are straight lines.
+_NUDGE = 1e-6
 
 # A quaternion, or a cosine and a sine, this far from length one is no configuration.
 _UNIT = 1e-6
@@ -80,7 +84,8 @@ class RobotDynamics:
     """The equations of motion of a robot with known parameters, to compute with.
 
     ``effort = mass_matrix(q) @ a + coriolis(q, v) @ v + gravity(q) + friction(v)``, and friction
-    that grows with load where the model has it, which depends on all three.
+    that grows with load where the model has it, which depends on all three, and springs and other
+    terms of the position.
 
     Arguments are one state, (n,), or many, (K, n), all alike; results follow. With a floating base
     positions are configurations, (nq,) or (K, nq). Efforts are in N·m, of sliding joints in N.
@@ -231,7 +236,8 @@ class RobotDynamics:
     def friction(self, v: ArrayLike) -> Array:
         """Return the effort of joint friction and offsets: the curve itself, not filtered.
 
-        Friction that grows with load is not in it: its load depends on the whole motion.
+        Friction that grows with load is not in it: its load depends on the whole motion. Nor are
+        springs and other terms of the position.
 
         Parameters
         ----------
@@ -243,7 +249,8 @@ class RobotDynamics:
         ndarray, shape (n,) or (K, n)
         """
         velocity = many(v, "velocity", self.robot.n)
-        found = self._effort_of_terms(velocity, np.zeros_like(velocity))
+        rest = np.zeros_like(velocity)
+        found = self._effort_of_terms(velocity, rest) + self._of_joints(velocity, rest)
         return found[0] if is_single(v) else found
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
@@ -374,7 +381,27 @@ class RobotDynamics:
     def drive_inertia(self) -> Array:
         """Effort of the terms per unit acceleration, (n, n): rotor inertias and couplings."""
         unit, rest = np.eye(self.robot.n), np.zeros((self.robot.n, self.robot.n))
-        return (self._effort_of_terms(rest, unit) - self._effort_of_terms(rest, rest)).T
+        found = self._effort_of_terms(rest, unit) - self._effort_of_terms(rest, rest)
+        return (found + self._of_joints(rest, unit) - self._of_joints(rest, rest)).T
+
+    def stiffness(self, q: Array) -> Array:
+        """Return how efforts of terms of one joint's position change with it, (K, n, n)."""
+        n = self.robot.n
+        out, rest = np.zeros((len(q), n, n)), np.zeros_like(q)
+        if any(isinstance(term, OneJoint) for term in self.terms.terms):
+            for j, step in enumerate(_NUDGE * np.eye(n)):
+                ahead, back = (
+                    self._effort_of_posed(q + side * step, rest, rest, kind=OneJoint)
+                    for side in (1.0, -1.0)
+                )
+                out[:, :, j] = (ahead - back) / (2.0 * _NUDGE)
+        return out
+
+    def _of_joints(self, v: Array, a: Array) -> Array:
+        """Return the effort (K, n) of terms on joints behind a transmission, at any position."""
+        if not any(isinstance(term, AtJoints) for term in self.terms.terms):
+            return np.zeros_like(v)
+        return self._effort_of_posed(np.zeros_like(v), v, a, kind=AtJoints)
 
     def _effort_of_terms(self, v: Array, a: Array) -> Array:
         coefficients = self.theta[10 * self.robot.n_links :]
@@ -390,11 +417,13 @@ class RobotDynamics:
     ) -> Array:
         """Return the effort (K, n) of the terms of a kind that depend on the position."""
         position = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        motion = SampledMotion(position=position, velocity=v, acceleration=a, robot=self.robot)
-        out = np.zeros_like(v)
+        first, out = self.terms.first, np.zeros_like(v)
+        motion = SampledMotion(
+            position=position, velocity=v[:, first:], acceleration=a[:, first:], robot=self.robot
+        )
         for term, values in self._posed():
             if isinstance(term, kind):
-                out += term.columns_in(motion, self.terms.joint_names) @ values
+                out[:, first:] += term.columns_in(motion, self.terms.joint_names) @ values
         return out
 
     def _posed(self) -> Iterator[tuple[FrictionTerm, Array]]:

@@ -43,6 +43,13 @@ PRISMATIC = 1
 KINDS = ("tanh", "root", "peak", "smooth_peak", "line")
 TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE = range(5)
 
+# Where the coordinates that move a link begin among its whole numbers, and their factors among its
+# others; those of curves and jumps of friction, and of what pulls; -1 is no coordinate.
+COLUMN, FACTOR, OF_CURVE, OF_JUMP, OF_PULL = 2, 1, 4, 4, 5
+
+# What pulls by position: powers of it, a table, or elements that slip.
+POWERS, TABLE, PLAY = 0, 1, 2
+
 # Where a body's ten numbers have its inertia matrix.
 PACKED = ((4, 5, 7), (5, 6, 8), (7, 8, 9))
 
@@ -52,10 +59,10 @@ class Robot(NamedTuple):
 
     Attributes
     ----------
-    tree : ndarray of int, shape (3, L)
-        Kind, parent and joint of each link.
-    angles : ndarray, shape (2, L)
-        Factor and offset between position and angle.
+    tree : ndarray of int, shape (2 + w, L)
+        Kind and parent of each link, and the coordinates that move it, -1 for none.
+    angles : ndarray, shape (1 + w, L)
+        Its joint's angle where these are zero, and their factors in it.
     turn : ndarray, shape (L, 3, 3, 3)
         What the rotation is made of: cosine, sine, constant.
     place : ndarray, shape (L, 3, 3)
@@ -73,14 +80,20 @@ class Robot(NamedTuple):
     parabolas : ndarray, shape (n, 5)
         Friction over position: lower and upper end, control values there and between them. They
         stand in place of a load, whose share is one.
-    which : ndarray of int, shape (C, 4)
-        Joints, kind and side of every smooth curve of friction.
-    curves : ndarray, shape (C, 4)
-        Its four numbers.
-    contacts : ndarray of int, shape (J, 2)
-        Joints of every jump of friction.
-    jumps : ndarray, shape (J, 4)
-        Its velocity, least and largest effort, and whether the load adds to them.
+    which : ndarray of int, shape (C, 2 + u)
+        Kind and side of every smooth curve of friction, and the coordinates of its velocity.
+    curves : ndarray, shape (C, 4 + u)
+        Its four numbers, and factors.
+    contacts : ndarray of int, shape (J, u)
+        Coordinates of the velocity of every jump of friction.
+    jumps : ndarray, shape (J, 4 + u)
+        Its velocity, least and largest effort, and whether the load adds to them; factors.
+    pulled : ndarray of int, shape (P, 3 + u)
+        Kind of every effort by position, begin and end of its table, coordinates of the position.
+    pulls : ndarray, shape (P, 5 + u)
+        Position at zero, four numbers (rest and factors of powers; size; size and slip), factors.
+    points : ndarray, shape (2, T)
+        Positions and efforts of all tables.
     tilted, loaded, bent : bool
         Whether there are bodies of a tilt, such that carry load, and friction over position.
     """
@@ -99,6 +112,9 @@ class Robot(NamedTuple):
     curves: Any
     contacts: Any
     jumps: Any
+    pulled: Any
+    pulls: Any
+    points: Any
     tilted: bool
     loaded: bool
     bent: bool
@@ -126,6 +142,8 @@ class Memory(NamedTuple):
         Whether contacts slip, and where to, and whether they are at their jump.
     bounds : ndarray, shape (J, 2)
         What contacts can hold.
+    plays : ndarray, shape (P,)
+        What follows the positions of elements that slip.
     """
 
     rotations: Any
@@ -140,6 +158,7 @@ class Memory(NamedTuple):
     fixed: Any
     states: Any
     bounds: Any
+    plays: Any
 
 
 def memory_for(robot: Robot, *others: Robot) -> Memory:
@@ -160,6 +179,7 @@ def memory_for(robot: Robot, *others: Robot) -> Memory:
         fixed=np.zeros(n, dtype=np.bool_),
         states=np.zeros((2, J), dtype=np.int64),
         bounds=np.zeros((J, 2)),
+        plays=np.zeros(max(len(each.pulled) for each in (robot, *others))),
     )
     memory.matrices[DAMPING] = robot.matrices[VISCOUS]
     return memory
@@ -186,7 +206,7 @@ def place_link(robot: Any, i: int, x: float, memory: Any, s: Array) -> None:
     """Write rotation and origin of a link whose joint is at x, and the joint's axis."""
     R, P, T = memory.rotations, memory.places, memory.scratch
     turn, place, p = robot.turn[i], robot.place[i], robot.tree[1, i] + 1
-    slides, factor = robot.tree[0, i] == PRISMATIC, robot.angles[0, i]
+    slides = robot.tree[0, i] == PRISMATIC
     cosine, sine, shift = math.cos(x), math.sin(x), 0.0
     if slides:
         cosine, sine, shift = 0.0, 0.0, x
@@ -202,7 +222,7 @@ def place_link(robot: Any, i: int, x: float, memory: Any, s: Array) -> None:
     for k in range(3):
         axis = 0.0
         for m in range(3):
-            axis += factor * R[i + 1, k, m] * place[2, m]
+            axis += R[i + 1, k, m] * place[2, m]
         s[k] = 0.0 if slides else axis
         s[3 + k] = axis if slides else 0.0
     if not slides:
@@ -233,7 +253,8 @@ def place_body(body: Array, R: Array, P: Array, T: Array, out: Array) -> None:
 
 def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, h: Array) -> None:
     """Write the mass matrix and the bias of some bodies: Coriolis, centrifugal, gravity."""
-    parent, column, angles = robot.tree[1], robot.tree[2], robot.angles
+    parent, column = robot.tree[1], robot.tree[COLUMN:]
+    factor, width = robot.angles[FACTOR:], len(robot.tree) - COLUMN
     R, P, C, force = memory.rotations, memory.places, memory.bodies, memory.force
     S, V, A, F = memory.links[0], memory.links[1], memory.links[2], memory.links[3]
     tilted = robot.tilted and which == OWN
@@ -246,17 +267,22 @@ def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, 
         # The base has no joint and no body: their rows have those of a tilt.
         S[0, 3 + k] = -robot.gravity[TILTED, k]
     for i in range(len(parent)):
-        p, c, own = parent[i] + 1, column[i], i + 1
-        place_link(robot, i, angles[0, i] * q[c] + angles[1, i], memory, S[own])
+        p, own = parent[i] + 1, i + 1
+        angle, speed = robot.angles[0, i], 0.0
+        for w in range(width):
+            if column[w, i] >= 0:
+                angle += factor[w, i] * q[column[w, i]]
+                speed += factor[w, i] * v[column[w, i]]
+        place_link(robot, i, angle, memory, S[own])
         place_body(robot.bodies[which, i], R[own], P[own], memory.scratch, C[own])
         for k in range(6):
-            V[own, k] = V[p, k] + S[own, k] * v[c]
+            V[own, k] = V[p, k] + S[own, k] * speed
             A[own, k] = 0.0
         add_cross(A[own], 0, V[own], 0, S[own], 0)
         add_cross(A[own], 3, V[own], 0, S[own], 3)
         add_cross(A[own], 3, V[own], 3, S[own], 0)
         for k in range(6):
-            A[own, k] = A[p, k] + A[own, k] * v[c]
+            A[own, k] = A[p, k] + A[own, k] * speed
         # What accelerates the body, and what turns its momentum.
         momentum_of(C[own], A[own], F[own])
         momentum_of(C[own], V[own], force)
@@ -270,22 +296,86 @@ def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, 
             for k in range(6):
                 F[own, k] += force[k]
     for own in range(len(parent), 0, -1):
-        p, c = parent[own - 1] + 1, column[own - 1]
+        p, needed, mass = parent[own - 1] + 1, 0.0, 0.0
         # What accelerates all that hangs on this joint.
         momentum_of(C[own], S[own], force)
         for k in range(6):
-            h[c] += S[own, k] * F[own, k]
-            M[c, c] += S[own, k] * force[k]
+            needed += S[own, k] * F[own, k]
+            mass += S[own, k] * force[k]
             F[p, k] += F[own, k]
+        for w in range(width):
+            if column[w, own - 1] >= 0:
+                h[column[w, own - 1]] += factor[w, own - 1] * needed
+        add_masses(robot, own - 1, own - 1, mass, M)
         for k in range(10):
             C[p, k] += C[own, k]
         while p > 0:
-            other, value = column[p - 1], 0.0
+            mass = 0.0
             for k in range(6):
-                value += S[p, k] * force[k]
-            M[c, other] += value
-            M[other, c] += value
+                mass += S[p, k] * force[k]
+            add_masses(robot, own - 1, p - 1, mass, M)
+            add_masses(robot, p - 1, own - 1, mass, M)
             p = parent[p - 1] + 1
+
+
+def add_masses(robot: Any, i: int, j: int, mass: float, M: Array) -> None:
+    """Add the mass by which the joint of link j feels that of link i accelerate."""
+    width = len(robot.tree) - COLUMN
+    for w in range(width):
+        a = robot.tree[COLUMN + w, i]
+        for u in range(width):
+            b = robot.tree[COLUMN + u, j]
+            if a >= 0 and b >= 0:
+                M[a, b] += robot.angles[FACTOR + w, i] * robot.angles[FACTOR + u, j] * mass
+
+
+def pulled_at(robot: Any, p: int, q: Array) -> Any:
+    """Return the position that an effort depends on."""
+    x = robot.pulls[p, 0]
+    for u in range(robot.pulled.shape[1] - 3):
+        if robot.pulled[p, 3 + u] >= 0:
+            x += robot.pulls[p, OF_PULL + u] * q[robot.pulled[p, 3 + u]]
+    return x
+
+
+def add_pull(robot: Any, p: int, effort: float, out: Array) -> None:
+    """Add an effort by position to those of the coordinates."""
+    for u in range(robot.pulled.shape[1] - 3):
+        if robot.pulled[p, 3 + u] >= 0:
+            out[robot.pulled[p, 3 + u]] += robot.pulls[p, OF_PULL + u] * effort
+
+
+def pull_at(robot: Any, p: int, x: float) -> Any:
+    """Return an effort by position: powers of the way from rest, or a table's."""
+    numbers, points = robot.pulls[p], robot.points
+    if robot.pulled[p, 0] == POWERS:
+        y = x - numbers[1]
+        return y * (numbers[2] + y * (numbers[3] + y * numbers[4]))
+    low, high = robot.pulled[p, 1], robot.pulled[p, 2] - 1
+    if x <= points[0, low]:
+        return numbers[1] * points[1, low]
+    if x >= points[0, high]:
+        return numbers[1] * points[1, high]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if points[0, middle] <= x:
+            low = middle
+        else:
+            high = middle
+    share = (x - points[0, low]) / (points[0, high] - points[0, low])
+    return numbers[1] * (points[1, low] + share * (points[1, high] - points[1, low]))
+
+
+def add_plays(robot: Any, q: Array, memory: Any, kept: bool, begins: bool, out: Array) -> None:
+    """Take off the efforts of elements that slip; where `kept`, what follows them goes on."""
+    for p in range(len(robot.pulled)):
+        if robot.pulled[p, 0] == PLAY:
+            x, slip = pulled_at(robot, p, q), robot.pulls[p, 2]
+            z = x if begins else min(max(memory.plays[p], x - slip), x + slip)
+            if kept:
+                memory.plays[p] = z
+            else:
+                add_pull(robot, p, -robot.pulls[p, 1] * (x - z) / slip, out)
 
 
 def dynamics_at(robot: Any, q: Array, v: Array, memory: Any) -> None:
@@ -297,6 +387,9 @@ def dynamics_at(robot: Any, q: Array, v: Array, memory: Any) -> None:
         h[i] += robot.constant[i]
         for j in range(len(q)):
             M[i, j] += robot.matrices[DRIVES, i, j]
+    for p in range(len(robot.pulled)):
+        if robot.pulled[p, 0] != PLAY:
+            add_pull(robot, p, pull_at(robot, p, pulled_at(robot, p, q)), h)
     if robot.loaded:
         links_at(robot, LOADING, q, v, memory, M2, h2)
     if robot.bent:
@@ -338,24 +431,27 @@ def curve_at(kind: int, side: int, c: float, a: float, b: float, w: float, x: fl
 def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
     """Write the smooth part of friction and its slopes; viscous friction is not in it."""
     which, curves, load = robot.which, robot.curves, robot.load
-    n = len(v)
+    n, width = len(v), robot.which.shape[1] - 2
     for i in range(n):
         F[i] = 0.0
         for j in range(n):
             S[i, j] = 0.0
     for p in range(len(which)):
-        j, k = which[p, 0], which[p, 1]
-        x = v[j] + (v[k] if k >= 0 else 0.0)
+        x = 0.0
+        for w in range(width):
+            if which[p, 2 + w] >= 0:
+                x += curves[p, OF_CURVE + w] * v[which[p, 2 + w]]
         value, slope = curve_at(
-            which[p, 2], which[p, 3], curves[p, 0], curves[p, 1], curves[p, 2], curves[p, 3], x
+            which[p, 0], which[p, 1], curves[p, 0], curves[p, 1], curves[p, 2], curves[p, 3], x
         )
-        F[j] += value
-        S[j, j] += slope
-        if k >= 0:
-            F[k] += value
-            S[k, k] += slope
-            S[j, k] += slope
-            S[k, j] += slope
+        for w in range(width):
+            j = which[p, 2 + w]
+            if j >= 0:
+                F[j] += curves[p, OF_CURVE + w] * value
+                for u in range(width):
+                    k = which[p, 2 + u]
+                    if k >= 0:
+                        S[j, k] += curves[p, OF_CURVE + w] * curves[p, OF_CURVE + u] * slope
     if robot.loaded or robot.bent:
         for j in range(n):
             size, share = load[j, 0] * carried[j], load[j, 1]

@@ -59,9 +59,9 @@ def law_at(law: Any, memory: Any, desired: Array, integral: Array) -> None:
             force = 0.5 * (1.0 + sign) * model.jumps[k, 2] + 0.5 * (1.0 - sign) * model.jumps[k, 1]
             if model.bent and model.jumps[k, 3] > 0.0:
                 force += sign * carried[model.contacts[k, 0]]
-            for joint in model.contacts[k]:
-                if joint >= 0:
-                    effort[joint] += force
+            for w in range(model.contacts.shape[1]):
+                if model.contacts[k, w] >= 0:
+                    effort[model.contacts[k, w]] += model.jumps[k, slot.OF_JUMP + w] * force
     for i in range(n):
         total, limit = effort[i], gains[4, i]
         for j in range(n):

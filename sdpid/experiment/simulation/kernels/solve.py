@@ -15,7 +15,7 @@ from typing import Any
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.kernels import links as slot
-from sdpid.experiment.simulation.kernels.links import bounds_at, dynamics_at, smooth_at
+from sdpid.experiment.simulation.kernels.links import add_plays, bounds_at, dynamics_at, smooth_at
 
 # No joint of a working robot moves this fast (rad/s or m/s): what does has diverged.
 RUNAWAY = 1e3
@@ -104,8 +104,11 @@ def carry_load(robot: Any, memory: Any, a: Array) -> None:
 
 def speed_at(robot: Any, k: int, v: Array) -> Any:
     """Return the velocity of a contact, from its joints' own."""
-    i, j = robot.contacts[k, 0], robot.contacts[k, 1]
-    return v[i] + (v[j] if j >= 0 else 0.0)
+    speed = 0.0
+    for w in range(robot.contacts.shape[1]):
+        if robot.contacts[k, w] >= 0:
+            speed += robot.jumps[k, slot.OF_JUMP + w] * v[robot.contacts[k, w]]
+    return speed
 
 
 def change_over(robot: Any, v: Array, dt: float, memory: Any) -> None:
@@ -123,9 +126,9 @@ def change_over(robot: Any, v: Array, dt: float, memory: Any) -> None:
     n, count = len(v), len(contacts)
     size, moves = n + count, dt > AT_JUMP
     for k in range(count):
-        i, j = contacts[k, 0], contacts[k, 1]
-        apart = speed_at(robot, k, v) - values[k, 0]
-        held = fixed[i] and (j < 0 or fixed[j])
+        apart, held = speed_at(robot, k, v) - values[k, 0], True
+        for joint in contacts[k]:
+            held = held and (joint < 0 or fixed[joint])
         near = abs(apart) <= AT_JUMP
         at[k] = 1 if near and bounds[k, 0] < bounds[k, 1] and not held else 0
         mode[k] = 0 if near else (1 if apart > 0.0 else -1)
@@ -154,12 +157,13 @@ def change_over(robot: Any, v: Array, dt: float, memory: Any) -> None:
                 i = contacts[k, 0]
                 K[row, row] = -COMPLIANCE / abs(M[i, i])
                 K[row, size] = values[k, 0] - speed_at(robot, k, v) if moves else 0.0
-            for joint in contacts[k]:
+            for w in range(contacts.shape[1]):
+                joint, factor = contacts[k, w], values[k, slot.OF_JUMP + w]
                 if joint >= 0 and sticks:
-                    K[row, joint] = 1.0
+                    K[row, joint] = factor
                 if joint >= 0 and not fixed[joint]:
-                    K[joint, row] = 1.0 if sticks else 0.0
-                    K[joint, size] -= 0.0 if sticks else dt * force
+                    K[joint, row] = factor if sticks else 0.0
+                    K[joint, size] -= 0.0 if sticks else dt * force * factor
         solve_in_place(K, size)
         for i in range(n):
             dv[i] = K[i, size]
@@ -181,7 +185,7 @@ def change_over(robot: Any, v: Array, dt: float, memory: Any) -> None:
         i = contacts[k, 0]
         if at[k] and mode[k] == 0 and contacts[k, 1] < 0:
             # Exactly: what sticks does not creep.
-            dv[i] = values[k, 0] - v[i] if moves else 0.0
+            dv[i] = values[k, 0] / values[k, slot.OF_JUMP] - v[i] if moves else 0.0
 
 
 def reached_at(robot: Any, v: Array, dv: Array) -> Any:
@@ -238,7 +242,8 @@ def advance(robot: Any, dt: float, memory: Any) -> None:
         for i in range(len(v)):
             end[i] += share * dv[i]
         if reached >= 0 and robot.contacts[reached, 1] < 0:
-            end[robot.contacts[reached, 0]] = robot.jumps[reached, 0]
+            jump = robot.jumps[reached, 0] / robot.jumps[reached, slot.OF_JUMP]
+            end[robot.contacts[reached, 0]] = jump
         left -= share * part
         if left <= 1e-12 * dt:
             break
@@ -256,6 +261,8 @@ def step_of(robot: Any, known: bool, dt: float, memory: Any) -> None:
     q1, v1, dv = vectors[slot.NEXT], vectors[slot.NEXT_SPEED], vectors[slot.CHANGE]
     qm, vm, g = vectors[slot.MIDDLE], vectors[slot.RATE], vectors[slot.PUSH]
     n = len(q)
+    if not known:
+        add_plays(robot, q, memory, True, True, g)
     for i in range(n):
         qm[i] = q[i] + 0.5 * dt * v[i]
         a[i] = a[i] if known else 0.0
@@ -265,6 +272,7 @@ def step_of(robot: Any, known: bool, dt: float, memory: Any) -> None:
         dynamics_at(robot, qm, vm, memory)
         for i in range(n):
             g[i] = vectors[slot.EFFORT, i] - vectors[slot.BIAS, i]
+        add_plays(robot, qm, memory, False, False, g)
         for _ in range(LOAD_ROUNDS if robot.loaded else 1):
             carry_load(robot, memory, a)
             advance(robot, dt, memory)
@@ -274,6 +282,7 @@ def step_of(robot: Any, known: bool, dt: float, memory: Any) -> None:
                 break
     for i in range(n):
         q1[i] = qm[i] + 0.5 * dt * v1[i]
+    add_plays(robot, q1, memory, True, False, g)
 
 
 def has_diverged(v: Array) -> bool:
