@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,6 +16,7 @@ from sdpid.experiment.simulation.kernels.links import (
     KINDS,
     LOADING,
     PLAY,
+    POINT,
     POWERS,
     TABLE,
     TILTED,
@@ -225,36 +225,36 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
         for speed, way in zip(speeds, ways, strict=True)
     ]
     ends = np.reshape(list(jumps.values()), (-1, 2))
-    every = [*(way for _, way, _ in curves), *ways, *(pull.way for pull in pulls)]
-    width = max([2, *(int(np.count_nonzero(way)) for way in every)])
+    points = [pull.points for pull in pulls]
+    begins = len(curves) + len(pulls) + np.cumsum([0, *map(len, points)])
+    for pull, begin in zip(pulls, begins.tolist(), strict=False):
+        curves.append(((pull.kind, begin), pull.way, pull.numbers))
+    for point in np.concatenate([np.zeros((0, 2)), *points]).tolist():
+        curves.append(((POINT, 0), np.zeros(n), (*point, 0.0, 0.0)))
+    moved = [*(way for _, way, _ in curves), *ways]
+    width = max([2, *(int(np.count_nonzero(way)) for way in moved)])
     which, factors = _sparse([way for _, way, _ in curves], width)
     contacts, shares = _sparse(ways, width)
-    pulled, parts = _sparse([pull.way for pull in pulls], width)
-    # Tables stand one after the other.
-    sizes = np.cumsum([0, *(pull.points.shape[1] for pull in pulls)])
-    heads = [(pull.kind, *ends) for pull, ends in zip(pulls, pairwise(sizes.tolist()), strict=True)]
+    kinds = np.reshape(np.array([kind for kind, _, _ in curves], dtype=np.int64), (-1, 2))
     return {
         "viscous": viscous,
         "constant": constant,
         "load": load,
         "parabolas": parabolas,
-        "which": np.hstack([_ints([kind for kind, _, _ in curves], 2), which]),
+        "which": np.hstack([kinds, which]),
         "curves": np.hstack([np.reshape([each for _, _, each in curves], (-1, 4)), factors]),
         "contacts": contacts,
         "jumps": np.column_stack([speeds, ends, np.array(rubs, dtype=np.float64), shares]),
-        "pulled": np.hstack([_ints(heads, 3), pulled]),
-        "pulls": np.hstack([np.reshape([pull.numbers for pull in pulls], (-1, 5)), parts]),
-        "points": np.hstack([np.zeros((2, 0)), *(pull.points for pull in pulls)]),
     }
 
 
 class _Pull(NamedTuple):
-    """An effort by position: its kind, direction, numbers (5,) and table (2, T)."""
+    """An effort by position: its kind, direction, four numbers and table (T, 2)."""
 
     kind: int
     way: _Direction
     numbers: tuple[float, ...]
-    points: Array = np.zeros((2, 0))
+    points: Array = np.zeros((0, 2))
 
 
 def _pulls(
@@ -273,21 +273,22 @@ def _pulls(
     way, shift = direction(type(term).__name__, term.joint, robot, names)
     if isinstance(term, Hysteresis):
         for value, slip in zip(values.tolist(), term.slips, strict=True):
-            yield _Pull(PLAY, way, (shift, value, slip, 0.0, 0.0))
+            yield _Pull(PLAY, way, (shift, value, slip, 0.0))
     elif isinstance(term, PositionTerm):
         if callable(term.function):
             raise ModelError(
                 f"simulation: PositionTerm {term.name} has a function of your own, which is not "
                 "simulated; give a table in its place."
             )
-        yield _Pull(TABLE, way, (shift, float(values[0]), 0.0, 0.0, 0.0), np.array(term.function))
+        table = np.array(term.function).T
+        yield _Pull(TABLE, way, (shift, float(values[0]), float(len(table)), 0.0), table)
     elif term.rest is None:
-        yield _Pull(POWERS, way, (shift, 0.0, float(values[0]), 0.0, 0.0))
-        # Stiffness times rest is a table of one value.
-        yield _Pull(TABLE, way, (shift, -float(values[1]), 0.0, 0.0, 0.0), np.array([[0.0], [1.0]]))
+        yield _Pull(POWERS, way, (shift, float(values[0]), 0.0, 0.0))
+        # Stiffness times rest is a table of one point.
+        yield _Pull(TABLE, way, (shift, -float(values[1]), 1.0, 0.0), np.array([[0.0, 1.0]]))
     else:
-        powers = (*values.tolist(), 0.0, 0.0)[:3]
-        yield _Pull(POWERS, way, (shift, term.rest, *powers))
+        first, square, cube = (*values.tolist(), 0.0, 0.0)[:3]
+        yield _Pull(POWERS, way, (shift - term.rest, first, square, cube))
 
 
 def _sparse(ways: list[_Direction], width: int) -> tuple[Any, Array]:
@@ -297,10 +298,6 @@ def _sparse(ways: list[_Direction], width: int) -> tuple[Any, Array]:
         moved = np.flatnonzero(way)
         columns[k, : len(moved)], factors[k, : len(moved)] = moved, way[moved]
     return columns, factors
-
-
-def _ints(rows: list[Any], width: int) -> Any:
-    return np.reshape(np.array(rows, dtype=np.int64), (-1, width))
 
 
 def _packed(values: Any) -> Any:

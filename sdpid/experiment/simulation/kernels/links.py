@@ -42,13 +42,12 @@ PRISMATIC = 1
 # Kinds of smooth curves, as terms name them.
 KINDS = ("tanh", "root", "peak", "smooth_peak", "line")
 TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE = range(5)
+# Efforts by position: powers of it, tables, elements that slip, and the points of tables.
+POWERS, TABLE, PLAY, POINT = range(5, 9)
 
 # Where the coordinates that move a link begin among its whole numbers, and their factors among its
-# others; those of curves and jumps of friction, and of what pulls; -1 is no coordinate.
-COLUMN, FACTOR, OF_CURVE, OF_JUMP, OF_PULL = 2, 1, 4, 4, 5
-
-# What pulls by position: powers of it, a table, or elements that slip.
-POWERS, TABLE, PLAY = 0, 1, 2
+# others; those of curves and jumps of friction; -1 is no coordinate.
+COLUMN, FACTOR, OF_CURVE, OF_JUMP = 2, 1, 4, 4
 
 # Where a body's ten numbers have its inertia matrix.
 PACKED = ((4, 5, 7), (5, 6, 8), (7, 8, 9))
@@ -81,19 +80,15 @@ class Robot(NamedTuple):
         Friction over position: lower and upper end, control values there and between them. They
         stand in place of a load, whose share is one.
     which : ndarray of int, shape (C, 2 + u)
-        Kind and side of every smooth curve of friction, and the coordinates of its velocity.
+        Kind and side of every smooth curve of friction, and the coordinates of its velocity; then
+        those of efforts by position, in place of the side where a table begins, and its points.
     curves : ndarray, shape (C, 4 + u)
-        Its four numbers, and factors.
+        Their four numbers, and factors. Of efforts by position what is added to it comes first,
+        then the factors of three powers, size and points of a table, or size and slip.
     contacts : ndarray of int, shape (J, u)
         Coordinates of the velocity of every jump of friction.
     jumps : ndarray, shape (J, 4 + u)
         Its velocity, least and largest effort, and whether the load adds to them; factors.
-    pulled : ndarray of int, shape (P, 3 + u)
-        Kind of every effort by position, begin and end of its table, coordinates of the position.
-    pulls : ndarray, shape (P, 5 + u)
-        Position at zero, four numbers (rest and factors of powers; size; size and slip), factors.
-    points : ndarray, shape (2, T)
-        Positions and efforts of all tables.
     tilted, loaded, bent : bool
         Whether there are bodies of a tilt, such that carry load, and friction over position.
     """
@@ -112,9 +107,6 @@ class Robot(NamedTuple):
     curves: Any
     contacts: Any
     jumps: Any
-    pulled: Any
-    pulls: Any
-    points: Any
     tilted: bool
     loaded: bool
     bent: bool
@@ -140,10 +132,8 @@ class Memory(NamedTuple):
         Joints whose accelerations are given.
     states : ndarray of int, shape (2, J)
         Whether contacts slip, and where to, and whether they are at their jump.
-    bounds : ndarray, shape (J, 2)
-        What contacts can hold.
-    plays : ndarray, shape (P,)
-        What follows the positions of elements that slip.
+    bounds : ndarray, shape (J or C, 3)
+        What contacts can hold; what follows the positions of curves that are elements that slip.
     """
 
     rotations: Any
@@ -158,7 +148,6 @@ class Memory(NamedTuple):
     fixed: Any
     states: Any
     bounds: Any
-    plays: Any
 
 
 def memory_for(robot: Robot, *others: Robot) -> Memory:
@@ -178,8 +167,7 @@ def memory_for(robot: Robot, *others: Robot) -> Memory:
         matrices=np.zeros((MATRICES, n, n)),
         fixed=np.zeros(n, dtype=np.bool_),
         states=np.zeros((2, J), dtype=np.int64),
-        bounds=np.zeros((J, 2)),
-        plays=np.zeros(max(len(each.pulled) for each in (robot, *others))),
+        bounds=np.zeros((max(J, *(len(each.which) for each in (robot, *others))), 3)),
     )
     memory.matrices[DAMPING] = robot.matrices[VISCOUS]
     return memory
@@ -270,9 +258,10 @@ def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, 
         p, own = parent[i] + 1, i + 1
         angle, speed = robot.angles[0, i], 0.0
         for w in range(width):
-            if column[w, i] >= 0:
-                angle += factor[w, i] * q[column[w, i]]
-                speed += factor[w, i] * v[column[w, i]]
+            if column[w, i] < 0:
+                break
+            angle += factor[w, i] * q[column[w, i]]
+            speed += factor[w, i] * v[column[w, i]]
         place_link(robot, i, angle, memory, S[own])
         place_body(robot.bodies[which, i], R[own], P[own], memory.scratch, C[own])
         for k in range(6):
@@ -304,78 +293,85 @@ def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, 
             mass += S[own, k] * force[k]
             F[p, k] += F[own, k]
         for w in range(width):
-            if column[w, own - 1] >= 0:
-                h[column[w, own - 1]] += factor[w, own - 1] * needed
-        add_masses(robot, own - 1, own - 1, mass, M)
+            if column[w, own - 1] < 0:
+                break
+            h[column[w, own - 1]] += factor[w, own - 1] * needed
+        add_masses(column, factor, own - 1, own - 1, mass, M)
         for k in range(10):
             C[p, k] += C[own, k]
         while p > 0:
             mass = 0.0
             for k in range(6):
                 mass += S[p, k] * force[k]
-            add_masses(robot, own - 1, p - 1, mass, M)
-            add_masses(robot, p - 1, own - 1, mass, M)
+            add_masses(column, factor, own - 1, p - 1, mass, M)
+            add_masses(column, factor, p - 1, own - 1, mass, M)
             p = parent[p - 1] + 1
 
 
-def add_masses(robot: Any, i: int, j: int, mass: float, M: Array) -> None:
+def add_masses(column: Any, factor: Array, i: int, j: int, mass: float, M: Array) -> None:
     """Add the mass by which the joint of link j feels that of link i accelerate."""
-    width = len(robot.tree) - COLUMN
-    for w in range(width):
-        a = robot.tree[COLUMN + w, i]
-        for u in range(width):
-            b = robot.tree[COLUMN + u, j]
-            if a >= 0 and b >= 0:
-                M[a, b] += robot.angles[FACTOR + w, i] * robot.angles[FACTOR + u, j] * mass
+    for w in range(len(column)):
+        if column[w, i] < 0:
+            break
+        for u in range(len(column)):
+            if column[u, j] < 0:
+                break
+            M[column[w, i], column[u, j]] += factor[w, i] * factor[u, j] * mass
 
 
 def pulled_at(robot: Any, p: int, q: Array) -> Any:
-    """Return the position that an effort depends on."""
-    x = robot.pulls[p, 0]
-    for u in range(robot.pulled.shape[1] - 3):
-        if robot.pulled[p, 3 + u] >= 0:
-            x += robot.pulls[p, OF_PULL + u] * q[robot.pulled[p, 3 + u]]
+    """Return the position that an effort depends on, from where it is zero or at rest."""
+    which, curves = robot.which, robot.curves
+    x = curves[p, 0]
+    for w in range(which.shape[1] - 2):
+        if which[p, 2 + w] < 0:
+            break
+        x += curves[p, OF_CURVE + w] * q[which[p, 2 + w]]
     return x
 
 
 def add_pull(robot: Any, p: int, effort: float, out: Array) -> None:
     """Add an effort by position to those of the coordinates."""
-    for u in range(robot.pulled.shape[1] - 3):
-        if robot.pulled[p, 3 + u] >= 0:
-            out[robot.pulled[p, 3 + u]] += robot.pulls[p, OF_PULL + u] * effort
+    which, curves = robot.which, robot.curves
+    for w in range(which.shape[1] - 2):
+        if which[p, 2 + w] < 0:
+            break
+        out[which[p, 2 + w]] += curves[p, OF_CURVE + w] * effort
 
 
 def pull_at(robot: Any, p: int, x: float) -> Any:
-    """Return an effort by position: powers of the way from rest, or a table's."""
-    numbers, points = robot.pulls[p], robot.points
-    if robot.pulled[p, 0] == POWERS:
-        y = x - numbers[1]
-        return y * (numbers[2] + y * (numbers[3] + y * numbers[4]))
-    low, high = robot.pulled[p, 1], robot.pulled[p, 2] - 1
-    if x <= points[0, low]:
-        return numbers[1] * points[1, low]
-    if x >= points[0, high]:
-        return numbers[1] * points[1, high]
+    """Return an effort by position: powers of it, or a table's, which stands in rows of its own."""
+    curves = robot.curves
+    if robot.which[p, 0] == POWERS:
+        return x * (curves[p, 1] + x * (curves[p, 2] + x * curves[p, 3]))
+    low, size = robot.which[p, 1], curves[p, 1]
+    high = low + int(curves[p, 2]) - 1
+    if x <= curves[low, 0]:
+        return size * curves[low, 1]
+    if x >= curves[high, 0]:
+        return size * curves[high, 1]
     while high - low > 1:
         middle = (low + high) // 2
-        if points[0, middle] <= x:
+        if curves[middle, 0] <= x:
             low = middle
         else:
             high = middle
-    share = (x - points[0, low]) / (points[0, high] - points[0, low])
-    return numbers[1] * (points[1, low] + share * (points[1, high] - points[1, low]))
+    share = (x - curves[low, 0]) / (curves[high, 0] - curves[low, 0])
+    return size * (curves[low, 1] + share * (curves[high, 1] - curves[low, 1]))
 
 
 def add_plays(robot: Any, q: Array, memory: Any, kept: bool, begins: bool, out: Array) -> None:
     """Take off the efforts of elements that slip; where `kept`, what follows them goes on."""
-    for p in range(len(robot.pulled)):
-        if robot.pulled[p, 0] == PLAY:
-            x, slip = pulled_at(robot, p, q), robot.pulls[p, 2]
-            z = x if begins else min(max(memory.plays[p], x - slip), x + slip)
+    for p in range(len(robot.which) - 1, -1, -1):
+        if robot.which[p, 0] < POWERS:
+            break
+        if robot.which[p, 0] == PLAY:
+            x, slip = pulled_at(robot, p, q), robot.curves[p, 2]
+            z = x if begins else min(max(memory.bounds[p, 2], x - slip), x + slip)
             if kept:
-                memory.plays[p] = z
+                memory.bounds[p, 2] = z
             else:
-                add_pull(robot, p, -robot.pulls[p, 1] * (x - z) / slip, out)
+                add_pull(robot, p, -robot.curves[p, 1] * (x - z) / slip, out)
 
 
 def dynamics_at(robot: Any, q: Array, v: Array, memory: Any) -> None:
@@ -387,8 +383,11 @@ def dynamics_at(robot: Any, q: Array, v: Array, memory: Any) -> None:
         h[i] += robot.constant[i]
         for j in range(len(q)):
             M[i, j] += robot.matrices[DRIVES, i, j]
-    for p in range(len(robot.pulled)):
-        if robot.pulled[p, 0] != PLAY:
+    # Efforts by position stand behind those of velocities.
+    for p in range(len(robot.which) - 1, -1, -1):
+        if robot.which[p, 0] < POWERS:
+            break
+        if robot.which[p, 0] < PLAY:
             add_pull(robot, p, pull_at(robot, p, pulled_at(robot, p, q)), h)
     if robot.loaded:
         links_at(robot, LOADING, q, v, memory, M2, h2)
@@ -437,21 +436,22 @@ def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
         for j in range(n):
             S[i, j] = 0.0
     for p in range(len(which)):
-        x = 0.0
+        if which[p, 0] >= POWERS:
+            break
+        x, count = 0.0, 0
         for w in range(width):
-            if which[p, 2 + w] >= 0:
-                x += curves[p, OF_CURVE + w] * v[which[p, 2 + w]]
+            if which[p, 2 + w] < 0:
+                break
+            x += curves[p, OF_CURVE + w] * v[which[p, 2 + w]]
+            count += 1
         value, slope = curve_at(
             which[p, 0], which[p, 1], curves[p, 0], curves[p, 1], curves[p, 2], curves[p, 3], x
         )
-        for w in range(width):
+        for w in range(count):
             j = which[p, 2 + w]
-            if j >= 0:
-                F[j] += curves[p, OF_CURVE + w] * value
-                for u in range(width):
-                    k = which[p, 2 + u]
-                    if k >= 0:
-                        S[j, k] += curves[p, OF_CURVE + w] * curves[p, OF_CURVE + u] * slope
+            F[j] += curves[p, OF_CURVE + w] * value
+            for u in range(count):
+                S[j, which[p, 2 + u]] += curves[p, OF_CURVE + w] * curves[p, OF_CURVE + u] * slope
     if robot.loaded or robot.bent:
         for j in range(n):
             size, share = load[j, 0] * carried[j], load[j, 1]

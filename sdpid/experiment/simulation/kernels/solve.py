@@ -106,8 +106,9 @@ def speed_at(robot: Any, k: int, v: Array) -> Any:
     """Return the velocity of a contact, from its joints' own."""
     speed = 0.0
     for w in range(robot.contacts.shape[1]):
-        if robot.contacts[k, w] >= 0:
-            speed += robot.jumps[k, slot.OF_JUMP + w] * v[robot.contacts[k, w]]
+        if robot.contacts[k, w] < 0:
+            break
+        speed += robot.jumps[k, slot.OF_JUMP + w] * v[robot.contacts[k, w]]
     return speed
 
 
@@ -159,9 +160,11 @@ def change_over(robot: Any, v: Array, dt: float, memory: Any) -> None:
                 K[row, size] = values[k, 0] - speed_at(robot, k, v) if moves else 0.0
             for w in range(contacts.shape[1]):
                 joint, factor = contacts[k, w], values[k, slot.OF_JUMP + w]
-                if joint >= 0 and sticks:
+                if joint < 0:
+                    break
+                if sticks:
                     K[row, joint] = factor
-                if joint >= 0 and not fixed[joint]:
+                if not fixed[joint]:
                     K[joint, row] = factor if sticks else 0.0
                     K[joint, size] -= 0.0 if sticks else dt * force * factor
         solve_in_place(K, size)
