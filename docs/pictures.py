@@ -516,12 +516,68 @@ def sampling() -> Any:
     return axes
 
 
+def springs() -> Any:
+    """Draw the effort of a simulated spring over the angle, with its band."""
+    robot, rng = sdpid.load_robot(URDF), np.random.default_rng(0)
+    time = np.arange(0.0, 20.0, 0.01)
+    rates = rng.uniform(0.5, 3.0, (4, robot.n))
+    angle = rates * time[:, None, None] + rng.uniform(0.0, 6.0, (4, robot.n))
+    waves = np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle)
+    q, v, a = (0.3 * each.sum(axis=1) for each in waves)
+    stiffness, rest, axes = 40.0, 0.2, panels(1, 2, height=2.3, sharey=True)
+    effort = robot.inverse_dynamics(robot.prior, q, v, a) + 5.0 * v
+    effort[:, 1] += stiffness * (q[:, 1] - rest)
+    effort += 20.0 * rng.standard_normal(effort.shape)
+    grid = np.linspace(q[:, 1].min(), q[:, 1].max(), 50)
+    for axis, count in zip(axes.flat, (100, 2000), strict=True):
+        log = {"position": q, "velocity": v, "acceleration": a, "effort": effort}
+        samples = sdpid.Samples(**{name: each[:count] for name, each in log.items()})
+        spring = sdpid.friction.Spring(SHOULDER, rest=rest)
+        problem = sdpid.build_problem(
+            robot, samples, friction=("viscous", spring), weighting="residual"
+        )
+        found = sdpid.confidence_intervals(sdpid.solve_sdp(problem))
+        k = found.names.index("K2")
+        low, high = (np.array(ends)[k] for ends in (found.lower, found.upper))
+        middle = 0.5 * (low + high) * (grid - rest)
+        half = 0.5 * (high - low) * np.abs(grid - rest)
+        axis.fill_between(grid, middle - half, middle + half, color=BLUE, alpha=0.25)
+        axis.plot(grid, middle, color=BLUE, linewidth=1.5, label=f"{count} samples")
+        axis.plot(grid, stiffness * (grid - rest), "--", color=GRAY, linewidth=1, label="truth")
+        axis.set_xlabel("angle [rad]")
+        axis.legend(frameon=False, fontsize=8)
+    axes[0, 0].set_ylabel("effort of the spring [N·m]")
+    return axes
+
+
+def transmissions() -> Any:
+    """Draw the motion and the efforts of a wrist's motors, and of the joints that follow them."""
+    names = ("joint_5", "joint_6")
+    wrist = sdpid.Transmission([[0.5, 0.5], [0.5, -0.5]], joints=names, names=("left", "right"))
+    robot = sdpid.load_robot("denso_vp6242", transmission=wrist)
+    time = np.linspace(0.0, 4.0, 400)
+    m = np.stack([np.sin(2.0 * time), 0.6 * np.sin(3.0 * time)], axis=1)
+    axes, tau = panels(1, 4, height=2.0), 0.2 * np.cos(np.outer(time, [2.0, 3.0]))
+    M = robot.expansion[4:, 4:]
+    parts = {"motors [rad]": m, "joints [rad]": m @ M.T}
+    parts |= {"effort of joints [N·m]": tau, "effort of motors [N·m]": tau @ M}
+    for axis, (name, values) in zip(axes.flat, parts.items(), strict=True):
+        labels = names if "joints" in name else ("left", "right")
+        for column, label, color in zip(values.T, labels, (BLUE, ORANGE), strict=True):
+            axis.plot(time, column, color=color, linewidth=1.2, label=label)
+        axis.set_title(name, fontsize=8)
+        axis.set_xlabel("time [s]", fontsize=8)
+        axis.tick_params(labelsize=7)
+        axis.legend(frameon=False, fontsize=7)
+    return axes
+
+
 PICTURES: dict[str, Callable[[], Any]] = {
     each.__name__: each
     for each in (
         *(audit, certificate, closed_loop, constraints, effects, estimation, excitation, exports),
         *(fleet, friction, gains, inspection, intervals, law, legged, lines, logs, loops, model),
-        *(payload, processing, recursive, rollout, sampling),
+        *(payload, processing, recursive, rollout, sampling, springs, transmissions),
     )
 }
 

@@ -23,6 +23,7 @@ from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import FitErrors, Posterior, spectrum_of
 from sdpid.robot.friction.model import JointCurve, joint_number
+from sdpid.robot.friction.position import AtJoints
 from sdpid.robot.friction.term import SampledMotion
 from sdpid.robot.inertia import complement, physical_parameters, pseudo_inertia
 
@@ -269,7 +270,7 @@ class _Curves:
         functions = np.zeros((*v.shape, self.problem.n_theta))
         tail = functions[:, :, self.problem.n_theta - len(friction.parameters) :]
         for term, place in friction.placed:
-            if not term.posed:
+            if not term.posed or isinstance(term, AtJoints):
                 tail[:, :, place] = term.columns_in(motion, names)
         return functions, self._bending.columns(motion)[:, friction.first :]
 

@@ -24,7 +24,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.scaled import require_measured
 from sdpid.experiment.recording.floating import BaseMotion
-from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.gaps import RETIMED, continuous
 from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
@@ -136,7 +136,9 @@ class Subject:
             pieces, notes = continuous(self.log)
         except DataError as refused:
             return (), [found("time_stamps", why=str(refused))]
-        return pieces, [found("continued", note=text) for text in notes]
+        # Times that speeds tell have a finding of their own.
+        told = [text for text in notes if not text.startswith(RETIMED)]
+        return pieces, [found("continued", note=text) for text in told]
 
     @property
     def pieces(self) -> tuple[Recording, ...]:

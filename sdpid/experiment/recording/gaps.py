@@ -16,6 +16,9 @@ from sdpid.experiment.recording.clock import retimed, told_clock
 from sdpid.experiment.recording.recording import OPTIONAL, Recording
 from sdpid.experiment.recording.stored import extremes
 
+# The first words of the note on times that speeds tell.
+RETIMED = "times taken"
+
 Timing = Literal["auto", "nominal", "resample"]
 
 _TURN = 2.0 * math.pi
@@ -68,7 +71,7 @@ def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
     log, notes = _in_time(log)
     if (clock := told_clock(log)) is not None:
         notes.append(
-            f"times taken from the speeds of joints {', '.join(log.names[j] for j in clock.joints)}"
+            f"{RETIMED} from the speeds of joints {', '.join(log.names[j] for j in clock.joints)}"
             f", for {clock.repeats:.3g} of the rows repeat others and the rest were read "
             f"{1e3 * clock.jitter:.2g} ms (rms) from their stamps: steps of positions then differ "
             f"from speeds by {100.0 * clock.left:.2g} % instead of {100.0 * clock.missed:.2g} %"
