@@ -527,9 +527,9 @@ def springs() -> Any:
     stiffness, rest, axes = 40.0, 0.2, panels(1, 2, height=2.3, sharey=True)
     effort = robot.inverse_dynamics(robot.prior, q, v, a) + 5.0 * v
     effort[:, 1] += stiffness * (q[:, 1] - rest)
-    effort += 20.0 * rng.standard_normal(effort.shape)
+    effort += 5.0 * rng.standard_normal(effort.shape)
     grid = np.linspace(q[:, 1].min(), q[:, 1].max(), 50)
-    for axis, count in zip(axes.flat, (100, 2000), strict=True):
+    for axis, count in zip(axes.flat, (200, 2000), strict=True):
         log = {"position": q, "velocity": v, "acceleration": a, "effort": effort}
         samples = sdpid.Samples(**{name: each[:count] for name, each in log.items()})
         spring = sdpid.friction.Spring(SHOULDER, rest=rest)

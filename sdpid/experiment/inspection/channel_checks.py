@@ -87,14 +87,17 @@ KINDS.update(
         "velocity of {joint} stays at {at} in {rows} of {all} rows ({share:.2g %}, limit "
         "{limit:g %}): it is clipped",
         "leave the velocity out (velocity=none): it is then had from the position",
+        hides=("velocity_unlike",),
     ),
 )
 
 # The motion's band ends at this many times the frequency below which 95 % of it lies, and at this
 # one (Hz) at least; beyond this share of half the rate there is nothing. More than this share of
 # an effort's power above it is told: 0.56 at a drive with a limit cycle, 0.36 at most at the joints
-# of ten good recordings. So many samples are heard, in stretches of so many seconds.
-_BAND, _LEAST_BAND, _BELOW, _NOISY, _HEARD, _HEARD_S = 20.0, 2.0, 0.8, 0.5, 1 << 17, 4.0
+# of ten good recordings; its largest line is so many times the median there, where noise alone has
+# none. So many samples are heard, in stretches of so many seconds.
+_BAND, _LEAST_BAND, _BELOW, _NOISY, _PEAK = 20.0, 2.0, 0.8, 0.5, 10.0
+_HEARD, _HEARD_S = 1 << 17, 4.0
 
 # A channel stays where it has one value for so long (s), in so many rows, and so many times as long
 # as usual: a slow bus holds every value.
@@ -423,8 +426,10 @@ def noisy_efforts(subject: Subject) -> Iterator[Finding]:
             continue
         frequency, power = welch(effort - effort.mean(), 1.0 / piece.step, nperseg=length)
         above = np.where(frequency > band, power, 0.0)
-        share = float(above.sum() / power.sum())
-        if share > _NOISY:
+        # A steady effort counts: a motion at constant speed needs no more.
+        share = float(above.sum() / power.sum() * effort.var() / np.mean(effort**2))
+        peak = above.max() / np.median(power[frequency > band])
+        if share > _NOISY and peak > _PEAK:
             most = float(frequency[above.argmax()])
             numbers = {"share": share, "band": band, "frequency": most, "limit": _NOISY}
             yield found("effort_noisy", name, **numbers)

@@ -622,3 +622,33 @@ def test_real_logs_raise_no_alarm(data_folder, name: str):
     findings = inspect_recording(sdpid.read_recording(path), robot).findings
     assert all(each.severity != "refuse" for each in findings)
     assert {each.kind for each in findings if each.severity == "warning"} == true, findings
+
+
+def master(rows: int = 4000) -> Recording:
+    """Return a log read at times of its own, with a speed that is off and a drive that swings."""
+    rng, step = np.random.default_rng(4), 0.005
+    stamps = step * np.arange(rows)
+    read = np.maximum.accumulate(stamps + 0.5 * step * rng.normal(size=rows))
+    read = read[np.maximum.accumulate(np.where(rng.random(rows) < 0.1, 0, np.arange(rows)))]
+    rates = np.array([1.3, 2.1, 3.4, 2.7])
+    position, velocity = np.sin(rates * read[:, None]), rates * np.cos(rates * read[:, None])
+    velocity[:, 2] *= 1.12
+    effort = np.array([1.0, 2.0, 3.0, 0.1]) * np.cos(read)[:, None]
+    effort[:, 3] += 0.3 * np.sin(2.0 * np.pi * 24.0 * stamps)
+    return Recording(time=stamps, position=position, velocity=velocity, effort=effort)
+
+
+def test_a_clock_speeds_and_noise_are_named():
+    told = {each.kind: each for each in inspect_recording(master()).findings}
+    clock, speed, noise = (
+        told[f"{kind}"] for kind in ("clock_jitter", "velocity_unlike", "effort_noisy")
+    )
+    assert {clock.severity, speed.severity, noise.severity} == {"note"}
+    assert clock.numbers["jitter"] == pytest.approx(0.0025, rel=0.4)
+    assert clock.numbers["left"] < 0.3 * clock.numbers["missed"]
+    assert (speed.joint, noise.joint) == ("3", "4")
+    assert speed.numbers["scale"] == pytest.approx(1.12, abs=0.01)
+    assert noise.numbers["frequency"] == pytest.approx(24.0, abs=0.5)
+    assert not any("times taken" in each.message for each in told.values())
+    again = [each.kind for each in inspect_recording(replace(master(), velocity=None)).findings]
+    assert "clock_jitter" not in again
