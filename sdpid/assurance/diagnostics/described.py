@@ -11,7 +11,7 @@ from sdpid.estimation.compression.rows import motion_of
 from sdpid.experiment.preparation.prepare import SMOOTH
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.position import AtJoints, Spring
+from sdpid.robot.friction.position import AtJoints
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, Coupling, Offset, RotorInertia, Viscous
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -41,7 +41,7 @@ def described_dynamics(
     couplings: Couplings = (),
     offsets: Array | None = None,
     behind: tuple[Array, Array, Array] | None = None,
-    springs: Sequence[Spring] = (),
+    springs: Sequence[FrictionTerm] | None = None,
 ) -> RobotDynamics:
     """Return the dynamics that a description holds: links, dry friction, damping, armature.
 
@@ -63,13 +63,17 @@ def described_dynamics(
     behind : tuple of ndarray, shape (nv,) each, optional
         Dry friction, damping and armature of joints behind a transmission.
     springs : sequence of Spring, optional
-        Springs of known stiffness and rest.
+        Springs of known stiffness and rest; by default the description's.
 
     Returns
     -------
     RobotDynamics
     """
-    if attributes is None:
+    if attributes is None and robot.transmission is not None:
+        tree, none = robot.pin_model, np.zeros(robot.n)
+        attributes = none, none, none
+        behind = np.array(tree.friction), np.array(tree.damping), np.array(tree.armature)
+    elif attributes is None:
         damping, friction = robot.described_friction()
         attributes = friction, damping, robot.described_armature()
     links = np.asarray(robot.prior if bodies is None else bodies).ravel()
@@ -85,13 +89,11 @@ def described_dynamics(
         own = (sharp, Viscous(), RotorInertia())
         terms += tuple(AtJoints(term, robot.tree_joints) for term in own)
         values += behind
-    terms += tuple(springs)
-    values += [np.array([each.stiffness, *each.polynomial]) for each in springs]
-    return RobotDynamics(
-        robot=robot,
-        terms=FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base),
-        theta=frozen(np.concatenate([links, *values])),
-    )
+    terms += robot.springs if springs is None else tuple(springs)
+    model = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
+    known = [each.value for each in model.parameters if each.value is not None]
+    theta = np.concatenate([links, *values, known])
+    return RobotDynamics(robot=robot, terms=model, theta=frozen(theta))
 
 
 def described_friction(robot: RobotModel, samples: Samples) -> Array:

@@ -106,8 +106,8 @@ class Spring(OneJoint):
     --------
     >>> spring = sdpid.friction.Spring("joint_2", rest=0.1)
     >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", spring))
-    >>> problem.base.names[-1]
-    'K2'
+    >>> "K2" in problem.base.names
+    True
     """
 
     joint: str
@@ -177,8 +177,8 @@ class PositionTerm(OneJoint):
     --------
     >>> cable = sdpid.friction.PositionTerm(np.sin, "cable", joint="joint_4")
     >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", cable))
-    >>> problem.base.names[-1]
-    'cable4'
+    >>> "cable4" in problem.base.names
+    True
     """
 
     function: Callable[[Array], Array] | tuple[tuple[float, ...], tuple[float, ...]]
@@ -253,8 +253,8 @@ class Hysteresis(OneJoint):
     --------
     >>> soft = sdpid.friction.Hysteresis("joint_4", (0.02, 0.1))
     >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", soft))
-    >>> problem.base.names[-2:]
-    ('Fha4', 'Fhb4')
+    >>> [name for name in problem.base.names if name.startswith("Fh")]
+    ['Fha4', 'Fhb4']
     """
 
     joint: str
@@ -295,8 +295,8 @@ class AtJoints(FrictionTerm):
     --------
     >>> drag = sdpid.friction.AtJoints(sdpid.friction.Viscous(), ("joint_2", "joint_3"))
     >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", drag))
-    >>> problem.base.names[-2:]
-    ('Fv_joint_2', 'Fv_joint_3')
+    >>> [name for name in problem.base.names if name.startswith("Fv")]
+    ['Fv_joint_2', 'Fv_joint_3']
     """
 
     friction: FrictionTerm

@@ -631,7 +631,11 @@ class RobotModel:
         # A body without mass has no center of mass.
         massive = np.where(self.prior[:, :1] > 0.0, self.prior, 0.0)
         links = self.efforts_of_bodies(massive, q, v, a, gravity=gravity)
-        return np.asarray(links + np.asarray(a) * self.described_armature())
+        if self.transmission is None:
+            return np.asarray(links + np.asarray(a) * self.described_armature())
+        # Rotors of joints that several motors move are felt by all of these.
+        rotors = self.expansion.T * np.array(self.pin_model.armature)
+        return np.asarray(links + np.asarray(a) @ (rotors @ self.expansion))
 
     def with_inertias(self, theta: ArrayLike) -> Any:
         """Return a copy of the Pinocchio model, without armature, whose links have parameters."""
