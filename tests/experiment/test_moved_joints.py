@@ -56,7 +56,7 @@ def states(n: int, count: int = 20) -> tuple[Array, Array, Array]:
 
 def test_the_compiled_loops_have_the_dynamics_of_the_model():
     model, (q, v, effort) = moved(*SMOOTH), states(3)
-    M, h, a = SimulatedArm.of(model).dynamics(q, v, effort)
+    M, _, a = SimulatedArm.of(model).dynamics(q, v, effort)
     np.testing.assert_allclose(M, model.mass_matrix(q), atol=1e-10)
     np.testing.assert_allclose(a, model.forward_dynamics(q, v, effort), atol=1e-8)
     rest = np.zeros_like(v)
@@ -69,11 +69,11 @@ def test_the_compiled_loops_have_the_dynamics_of_the_model():
 def test_dry_friction_behind_a_transmission_holds_what_it_can():
     model = moved(AtJoints(Coulomb(), ("joint_2", "joint_3")), values=50.0)
     arm, still = SimulatedArm.of(model), np.zeros((1, 3))
-    effort = model.gravity(still) + [[0.0, 10.0, -5.0]]
+    effort = model.gravity(still) + np.array([[0.0, 10.0, -5.0]])
     # Efforts of 10 and -5 on the motors ask for 5 and 15 of the joints.
     a = arm.dynamics(still, still, effort)[2]
     np.testing.assert_allclose(a[0, 1:], 0.0, atol=1e-6)
-    pushed = arm.dynamics(still, still, effort + [[0.0, 300.0, 0.0]])[2]
+    pushed = arm.dynamics(still, still, effort + np.array([[0.0, 300.0, 0.0]]))[2]
     assert pushed[0, 1] > 1.0
 
 

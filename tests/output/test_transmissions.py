@@ -221,3 +221,36 @@ def test_springs_of_a_description_are_known(tmp_path: Path, stiffness: str):
     free = Spring("a", rest=0.2, polynomial=robot.springs[0].polynomial)
     anew = sdpid.identify(robot, log, friction=("viscous", free), effects="none", intervals=False)
     assert anew.estimate.named_theta()["K1"] == pytest.approx(30.0, rel=0.02)
+
+
+GEARED = """
+<mujoco><compiler angle="radian"/><worldbody>
+<body><joint name="b" axis="0 1 0"/><inertial mass="1" pos="0.1 0 -0.2" diaginertia=".1 .1 .1"/>
+<body pos="0 0 -0.4"><joint name="c" axis="1 0 0"/>
+<inertial mass="1" pos="0 0.1 -0.2" diaginertia=".1 .1 .1"/></body></body></worldbody>
+<tendon><fixed name="sum" stiffness="8" springlength="0.4" damping="3" armature="0.1">
+<joint joint="b" coef="1"/><joint joint="c" coef="1"/></fixed>
+<fixed name="difference"><joint joint="b" coef="1"/><joint joint="c" coef="-1"/></fixed></tendon>
+<actuator><motor name="left" tendon="sum" gear="2"/><motor name="right" tendon="difference"/>
+</actuator></mujoco>
+"""
+
+
+def test_tendons_of_a_file_keep_their_gears(tmp_path: Path):
+    (tmp_path / "a.xml").write_text(GEARED)
+    robot = sdpid.load_robot(tmp_path / "a.xml", transmission="description")
+    q, v, a = motion(robot.n)
+    effort = in_mujoco(tmp_path / "a.xml", robot, q, v, a)
+    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    terms = ("viscous", "rotor_inertia", *robot.springs)
+    problem = sdpid.build_problem(robot, samples, friction=terms, weighting="residual")
+    estimate = sdpid.solve_sdp(problem)
+    np.testing.assert_allclose(problem.predict(estimate.base), effort, atol=1e-5)
+    report = sdpid.write_mjcf(estimate, target=tmp_path / "b.xml", source=tmp_path / "a.xml")
+    states = [each[::50] for each in (q, v, a)]
+    expected = estimate.model().inverse_dynamics(*states)
+    found = in_mujoco(tmp_path / "b.xml", robot, *states)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    assert not report.left_out
+    again = sdpid.load_robot(tmp_path / "b.xml", transmission="description")
+    assert again.springs == robot.springs

@@ -367,13 +367,21 @@ class Mjcf(RobotText):
         from lxml import etree
 
         robot, found = self.robot, etree.Element("tendon")
-        written = {each.get("name", ""): each for each in self.root.findall("tendon/fixed")}
         own = motor_tendons(robot) if robot.transmission is not None else {}
+        # Tendons that the source has for a motor keep their factors.
+        there = {
+            robot.joint_names[j]: (self.root.find(f"tendon/fixed[@name='{name}']"), gear, shift)
+            for i, (j, gear, shift) in (self._source.moved(robot) if own else {}).items()
+            if (name := self._source.model.tendon(i).name)
+        }
         for motor, factors in own.items():
-            tendon = written.get(motor)
+            tendon, gear, shift = there.get(motor, (None, 1.0, 0.0))
             if tendon is None:
-                tendon = add_tendon(found, {"name": motor}, factors)
-            given = motors.get(motor, {})
+                shift = sum(
+                    x * robot.offset[robot.tree_joints.index(j)] for j, x in factors.items()
+                )
+                tendon, gear = add_tendon(found, {"name": motor}, factors), 1.0
+            given = in_lengths(motors.get(motor, {}), gear, float(shift))
             steep = STEEP if given.get("frictionloss") else {}
             tendon.attrib.update({key: numbers(value) for key, value in given.items()} | steep)
         self._append("tendon", list(found))
@@ -449,14 +457,10 @@ class Mjcf(RobotText):
     def attributes(self) -> dict[str, Any]:
         """Return dry friction, damping and armature as `file_errors` takes them."""
         if self.robot.transmission is not None:
-            model, source, motors = self.model.pin_model, self._source, self.robot.joint_names
-            found = source.tendon_values()
-            of_motors = (
-                np.array([found.get(motor, {}).get(key, 0.0) for motor in motors])
-                for key in ("frictionloss", "damping", "armature")
-            )
-            values = (model.friction, model.damping, model.armature)
-            return {"attributes": tuple(of_motors), "behind": tuple(x[self._order] for x in values)}
+            found, model = self._source.of_motors(self.robot), self.model.pin_model
+            motors = tuple(found[key] for key in ("frictionloss", "damping", "armature"))
+            joints = (x[self._order] for x in (model.friction, model.damping, model.armature))
+            return {"attributes": motors, "behind": tuple(joints)}
         damping, dry = self.model.described_friction()
         armature, viscous = added(self._source.tendons(), self.robot.joint_names)
         return {"attributes": (dry, damping + viscous, self.model.described_armature() + armature)}
@@ -467,7 +471,8 @@ class Mjcf(RobotText):
 
     def couplings(self) -> Couplings:
         """Return what tendons do crosswise."""
-        motors = () if self.robot.transmission is None else self.robot.joint_names
+        behind = self.robot.transmission is not None
+        motors = self._source.moved(self.robot) if behind else ()
         return crosswise(self._source.tendons(motors), self.robot.joint_names)
 
 
@@ -485,3 +490,16 @@ def _nested(element: Any) -> Iterator[Any]:
     for body in _own(element, "body"):
         yield body
         yield from _nested(body)
+
+
+def in_lengths(values: Mapping[str, Any], gear: float, shift: float) -> dict[str, Any]:
+    """Return a motor's attributes as those of a tendon of length ``gear·position + shift``."""
+    found = dict(values)
+    for key in values.keys() - {"springlength"}:
+        powers = np.atleast_1d(values[key])
+        least = 1 if key == "frictionloss" else 2
+        scaled = powers / np.abs(gear) ** least / gear ** np.arange(len(powers))
+        found[key] = scaled.tolist() if len(powers) > 1 else float(scaled[0])
+    if "springlength" in values:
+        found["springlength"] = gear * values["springlength"] + shift
+    return found

@@ -366,13 +366,14 @@ class MjcfModel:
         moved = set(model.actuator_trnid[:, 0].tolist())
         return [name for i, name in enumerate(self.names) if i not in moved]
 
-    def lengths(self) -> dict[str, tuple[int, dict[str, float]]]:
-        """Return number and factors by joint of the fixed tendons, by name."""
-        return {
-            self.model.tendon(i).name or f"tendon_{i}": (i, self._factors(i))
-            for i in range(self.model.ntendon)
-            if self._of_joints(i)
-        }
+    def of_motors(self, robot: Any) -> dict[str, Array]:
+        """Return dry friction, damping and armature (n,) of tendons that one coordinate moves."""
+        found = {key: np.zeros(robot.n) for key in _OF_TENDONS}
+        for i, (j, gear, _) in self.moved(robot).items():
+            for key, values in found.items():
+                power = 1 if key == "frictionloss" else 2
+                values[j] += abs(gear) ** power * getattr(self.model, f"tendon_{key}")[i]
+        return found
 
     def motors(self) -> dict[str, dict[str, float]]:
         """Return factors by joint of the fixed tendons that actuators pull, by these, gears in."""
@@ -395,13 +396,6 @@ class MjcfModel:
         own = range(first, first + int(model.tendon_num[tendon]))
         return {self.names[model.wrap_objid[k]]: float(model.wrap_prm[k]) for k in own}
 
-    def tendon_values(self) -> dict[str, dict[str, float]]:
-        """Return ``armature``, ``damping`` and ``frictionloss`` of fixed tendons by name."""
-        return {
-            name: {key: float(getattr(self.model, f"tendon_{key}")[i]) for key in _OF_TENDONS}
-            for name, (i, _) in self.lengths().items()
-        }
-
     def springs(self, robot: Any) -> Iterator[Spring]:
         """Yield the springs of joints, and of fixed tendons that one coordinate of a robot moves.
 
@@ -412,25 +406,29 @@ class MjcfModel:
             rest = self._at_joint(model.qpos_spring, i)
             bent = _bent(model, "jnt", i)
             yield Spring(self.names[i], float(model.jnt_stiffness[i]), rest, bent)
-        for i, (j, gear, shift) in self._moved(robot).items():
+        for i, (j, gear, shift) in self._sprung(robot).items():
             rest = (float(model.tendon_lengthspring[i, 0]) - shift) / gear
             powers = [float(model.tendon_stiffness[i]), *_bent(model, "tendon", i)]
             first, *more = (x * gear ** (k + 2) for k, x in enumerate(powers))
             yield Spring(robot.joint_names[j], first, rest, tuple(more))
 
-    def _moved(self, robot: Any) -> dict[int, tuple[int, float, float]]:
-        """Return by tendon with a spring the one coordinate that moves it, its factor and length.
+    def _sprung(self, robot: Any) -> dict[int, tuple[int, float, float]]:
+        """Return what moves the tendons whose springs rest at one length."""
+        model = self.model
+        even = (model.tendon_stiffness > 0.0) & (np.ptp(model.tendon_lengthspring, axis=1) == 0.0)
+        return {i: each for i, each in self.moved(robot).items() if even[i]}
 
-        The length is that at zero.
+    def moved(self, robot: Any) -> dict[int, tuple[int, float, float]]:
+        """Return by tendon the one coordinate that moves it, its factor, and the length at zero.
+
+        Those that none moves, or several, are not among them.
         """
         places = {name: k for k, name in enumerate(robot.tree_joints)}
-        model, found = self.model, dict[int, tuple[int, float, float]]()
-        for i in np.flatnonzero(model.tendon_stiffness > 0.0).tolist():
-            if not self._of_joints(i) or np.ptp(model.tendon_lengthspring[i]) > 0.0:
-                continue
+        found = dict[int, tuple[int, float, float]]()
+        for i in filter(self._of_joints, range(self.model.ntendon)):
             rows = [(places[name], x) for name, x in self._factors(i).items()]
             gears = sum(x * robot.expansion[k] for k, x in rows)
-            moved = np.flatnonzero(np.abs(gears) > 1e-12 * np.abs(gears).max())
+            moved = np.flatnonzero(np.abs(gears) > 1e-12)
             if len(moved) == 1 and moved[0] >= robot.n_base:
                 shift = float(sum(x * robot.offset[k] for k, x in rows))
                 found[i] = int(moved[0]), float(gears[moved[0]]), shift
@@ -441,12 +439,12 @@ class MjcfModel:
         free = self.model.jnt_type == int(self.kinds.mjtJoint.mjJNT_FREE)
         return np.asarray((self.model.jnt_stiffness > 0.0) & ~free)
 
-    def tendons(self, without: Collection[str] = ()) -> Iterator[MjcfTendon]:
-        """Yield the fixed tendons over two joints, but those of some names."""
+    def tendons(self, without: Collection[int] = ()) -> Iterator[MjcfTendon]:
+        """Yield the fixed tendons over two joints, but those of some numbers."""
         model = self.model
         for i, first in enumerate(model.tendon_adr.tolist()):
             of_joints = self._of_joints(i)
-            if model.tendon_num[i] == 2 and of_joints and model.tendon(i).name not in without:
+            if model.tendon_num[i] == 2 and of_joints and i not in without:
                 one, two = (self.names[model.wrap_objid[k]] for k in (first, first + 1))
                 factors = float(model.wrap_prm[first]), float(model.wrap_prm[first + 1])
                 values = (float(getattr(model, f"tendon_{key}")[i]) for key in _OF_TENDONS)
@@ -461,8 +459,8 @@ class MjcfModel:
         model = self.model
         for i in np.flatnonzero((model.jnt_stiffness != 0.0) & ~self._ordinary()):
             yield f"spring at {self.names[i]} (stiffness {model.jnt_stiffness[i]:.4g})"
-        moved = self._moved(robot)
-        for i in (k for k in np.flatnonzero(model.tendon_stiffness) if k not in moved):
+        sprung = self._sprung(robot)
+        for i in (k for k in np.flatnonzero(model.tendon_stiffness) if k not in sprung):
             yield f"spring of tendon {i + 1} (stiffness {model.tendon_stiffness[i]:.4g})"
         for i in np.flatnonzero(model.body_gravcomp):
             yield f"gravcomp {model.body_gravcomp[i]:.4g} of body {model.body(i).name}"
