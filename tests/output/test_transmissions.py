@@ -16,6 +16,7 @@ from sdpid.friction import (
     AtJoints,
     Coulomb,
     Hysteresis,
+    Offset,
     PositionTerm,
     RotorInertia,
     Spring,
@@ -254,3 +255,15 @@ def test_tendons_of_a_file_keep_their_gears(tmp_path: Path):
     assert not report.left_out
     again = sdpid.load_robot(tmp_path / "b.xml", transmission="description")
     assert again.springs == robot.springs
+
+
+def test_offsets_of_joints_have_a_place_where_they_are_asked_for(tmp_path: Path):
+    robot, terms = described(BARS), ("viscous", "offset", AtJoints(Offset(), ("joint_3",)))
+    estimate = identified(robot, terms)
+    report = sdpid.write_mjcf(estimate, target=tmp_path / "a.xml", offsets=True)
+    assert not report.left_out
+    assert report.training is not None
+    assert report.training.file < 1e-6
+    text = (tmp_path / "a.xml").read_text()
+    assert text.count("<general ") == robot.n + 1
+    assert sdpid.write_mjcf(estimate, target=tmp_path / "b.xml").left_out

@@ -218,6 +218,8 @@ def joint_attributes(
         assert isinstance(part.term, AtJoints)
         own = type(part.term.friction)
         assert issubclass(own, JointwiseTerm)
+        if isinstance(part.term.friction, Coulomb) and not _sharp(part.term.friction):
+            notes += ("dry friction of joints behind the transmission lacks its smooth sign",)
         for joint, value in zip(part.term.joints, part.values, strict=True):
             seats.add(joint, own, attributes[own], float(value))
     for part in places.springs:
@@ -235,7 +237,9 @@ def joint_attributes(
         offsets={
             joint: float(value)
             for part in places.offsets
-            for joint, value in zip(places.joints, part.values, strict=True)
+            for joint, value in zip(
+                getattr(part.term, "joints", places.joints), part.values, strict=True
+            )
         },
         bent=bends,
         motors=seats.motors if springs else {},
@@ -373,7 +377,7 @@ class Places:
                 self.exact[type(term)] = np.maximum(part.values, 0.0)
             elif isinstance(term, Coupling) and tendons:
                 self.coupled.append(part)
-            elif isinstance(term, Offset) and offsets:
+            elif offsets and isinstance(_acting(term), Offset):
                 self.offsets.append(part)
             elif isinstance(term, AtJoints) and type(term.friction) in attributes:
                 self.behind.append(part)
@@ -435,6 +439,11 @@ class Places:
             found[Coulomb] = found[Coulomb] + fits[:, 0]
             found[Viscous] = found[Viscous] + fits[:, 1]
         return {kind: np.maximum(x - self.added.get(kind, 0.0), 0.0) for kind, x in found.items()}
+
+
+def _acting(term: FrictionTerm) -> FrictionTerm:
+    """Return a term, or what acts on joints behind a transmission."""
+    return term.friction if isinstance(term, AtJoints) else term
 
 
 def _sharp(term: Coulomb) -> bool:

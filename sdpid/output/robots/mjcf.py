@@ -34,7 +34,7 @@ from sdpid.output.robots.written_bodies import (
 from sdpid.robot.description.bodies import Inertial
 from sdpid.robot.description.mjcf import MjcfTendon, read_mjcf
 from sdpid.robot.description.xml import add_child, is_mjcf, is_xml, numbers, parse_xml, relative
-from sdpid.robot.friction.position import Spring
+from sdpid.robot.friction.position import Spring, direction
 from sdpid.robot.friction.terms import Coulomb, Offset, RotorInertia, Viscous
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
@@ -159,7 +159,7 @@ def write_mjcf(
         **held,
         couplings=written.couplings(),
         springs=written.springs(),
-        offsets=np.array([*friction.offsets.values()]) if friction.offsets else None,
+        offsets=text.constant(friction.offsets) if friction.offsets else None,
     )
     if text.cleared:
         notes += (
@@ -399,11 +399,20 @@ class Mjcf(RobotText):
 
         elements, seats = [], self.robot.seats()
         for motor, value in offsets.items():
-            joint, factor = seats.get(motor, ("", 1.0))
+            own = motor in self.robot.joint_names
+            joint, factor = seats.get(motor, ("", 1.0)) if own else (motor, 1.0)
             at = {"joint": joint} if joint else {"tendon": motor}
             bias = {"biastype": "affine", "biasprm": numbers([-value / factor, 0.0, 0.0])}
             elements.append(etree.Element("general", **at, gainprm="0", **bias))
         self._append("actuator", elements)
+
+    def constant(self, offsets: Mapping[str, float]) -> Array:
+        """Return the constant efforts (joints,) of motors and joints on the coordinates."""
+        names = self.robot.joint_names[self.robot.n_base :]
+        ways = (direction("offset", each, self.robot, names)[0] for each in offsets)
+        return np.asarray(
+            sum(value * way for value, way in zip(offsets.values(), ways, strict=True))
+        )
 
     def _append(self, name: str, elements: Sequence[Any]) -> None:
         """Write an element behind all others, if there is anything in it."""
