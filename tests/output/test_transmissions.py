@@ -166,7 +166,6 @@ def run(folder: Path) -> tuple[Identification, sdpid.Recording]:
     return result, log
 
 
-@pytest.mark.slow
 def test_results_are_saved_verified_and_loaded(tmp_path: Path):
     result, log = run(tmp_path / "results")
     found = sdpid.verify(tmp_path / "results", data=log)
