@@ -24,6 +24,7 @@ from sdpid.excitation.limits.inequalities import ToolSpeedWithin, TorqueWithin, 
 from sdpid.excitation.limits.joint_limits import KINDS, rest_to_rest
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.measures import effort_norms, link_norms
+from sdpid.excitation.limits.narrowing import _within_mimics
 from sdpid.excitation.limits.torque import TorqueModel, body_sizes
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.trajectory.curve import Curve, SampledCurve, Spline
@@ -917,3 +918,18 @@ def test_broken_limits_are_named(data_folder: Path, name: str, beyond: float, sh
         dense = np.abs(curve.evaluate(time, derivative=order)).max(axis=0)
         worst = [row.worst for row in check.rows if row.kind == kind]
         assert np.all(dense <= np.array(worst) * (1.0 + 1e-9))
+
+
+@given(seed=SEEDS)
+def test_motors_that_move_joints_together_keep_the_limits_of_these(seed: int) -> None:
+    rng, names = np.random.default_rng(seed), ("joint_4", "joint_5", "joint_6")
+    matrix = rng.normal(size=(3, 3)) + 2.0 * np.eye(3)
+    plain = sdpid.load_robot("denso_vp6242")
+    wrist = sdpid.Transmission(matrix, 0.1 * rng.normal(size=3), joints=names)
+    robot = sdpid.load_robot("denso_vp6242", transmission=wrist)
+    free = np.full(robot.n, np.nan)
+    low, high = _within_mimics(robot, free, free)
+    motors = rng.uniform(low[3:], high[3:], (50, 3))
+    joints = motors @ matrix.T + np.array(wrist.offset)
+    limits = plain.position_limits[3:]
+    assert np.all((joints >= limits[:, 0] - 1e-9) & (joints <= limits[:, 1] + 1e-9))

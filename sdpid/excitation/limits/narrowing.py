@@ -324,20 +324,36 @@ class Narrowing:
 def _within_mimics(robot: RobotModel, low: Array, high: Array) -> tuple[Array, Array]:
     """Return limits (n,) narrowed to those of the joints that follow others; NaN for none."""
     model, low, high = robot.pin_model, low.copy(), high.copy()
+    shared = []
     for i in range(1, model.njoints):
         joint = model.joints[i]
-        if model.names[i] in robot.joint_names or joint.nq != 1:
+        row = robot.expansion[joint.idx_v]
+        alone = np.count_nonzero(row) == 1
+        if (model.names[i] in robot.joint_names and alone) or joint.nq != 1:
             continue
         ends = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-        column = int(np.argmax(np.abs(robot.expansion[joint.idx_v])))
-        factor = robot.expansion[joint.idx_v, column]
+        column = int(np.argmax(np.abs(row)))
+        factor = row[column]
         if factor == 0.0 or not -_UNBOUNDED < ends[0] < ends[1] < _UNBOUNDED:
+            continue
+        if not alone:
+            shared.append((row, ends[0] - robot.offset[joint.idx_v], ends[1] - ends[0]))
             continue
         own = np.sort((np.array(ends) - robot.offset[joint.idx_v]) / factor)
         narrowed = np.fmax(low[column], own[0]), np.fmin(high[column], own[1])
         # Limits of followers that leave nothing are placeholders.
         if narrowed[0] < narrowed[1]:
             low[column], high[column] = narrowed
+    if shared:
+        # Of motors that move joints together a cube about the middle, in which all of these stay.
+        rows, least, ranges = map(np.array, zip(*shared, strict=True))
+        middle = np.linalg.pinv(rows) @ (least + 0.5 * ranges)
+        room = 0.5 * ranges - np.abs(rows @ middle - least - 0.5 * ranges)
+        reach = float(np.min(room / np.abs(rows).sum(axis=1)))
+        motors = np.any(rows != 0.0, axis=0)
+        if reach > 0.0:
+            low[motors] = np.fmax(low, middle - reach)[motors]
+            high[motors] = np.fmin(high, middle + reach)[motors]
     return low, high
 
 
