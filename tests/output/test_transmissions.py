@@ -266,3 +266,18 @@ def test_offsets_of_joints_have_a_place_where_they_are_asked_for(tmp_path: Path)
     text = (tmp_path / "a.xml").read_text()
     assert text.count("<general ") == robot.n + 1
     assert sdpid.write_mjcf(estimate, target=tmp_path / "b.xml").left_out
+
+
+def test_what_has_no_place_is_told(tmp_path: Path):
+    terms = ("viscous", AtJoints(Coulomb(width=0.2), ("joint_5",)), Spring("joint_4"))
+    estimate = identified(described(WRIST), terms)
+    told = sdpid.write_urdf(estimate, target=tmp_path / "a.urdf").describe()
+    assert "no place for friction of motors that move joints together: left, right" in told
+    assert "no place in a URDF: Spring K_joint_4, Kr_joint_4" in told
+    assert (
+        "lacks its smooth sign" in sdpid.write_mjcf(estimate, target=tmp_path / "a.xml").describe()
+    )
+    slack = identified(described(WRIST), ("viscous", Spring("joint_4", stiffness=0.0, rest=0.1)))
+    report = sdpid.write_mjcf(slack, target=tmp_path / "b.xml")
+    assert "no place for the spring of joint_4: its stiffness is zero" in report.describe()
+    assert "behind a transmission" in described(WRIST)._repr_html_()

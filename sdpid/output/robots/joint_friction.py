@@ -284,7 +284,7 @@ class Seats:
         place, joint, factor = self._place(term.joint)
         stiffness = float(part.values[0])
         rest = term.rest if term.rest is not None else part.values[1] / (stiffness or 1.0)
-        if not stiffness > 0.0:
+        if stiffness <= _FRICTION_ZERO:
             self.notes += (f"no place for the spring of {term.joint}: its stiffness is zero",)
             return
         robot, shift = self._robot, 0.0

@@ -237,6 +237,7 @@ class RobotModel:
             "base": "floating" if self.free_flyer else "fixed",
             "loops": ", ".join(f"{loop.name} ({loop.kind})" for loop in self.loops) or None,
             "without motors": ", ".join(self.passive) or None,
+            "behind a transmission": ", ".join(self.tree_joints) if self.transmission else None,
             "described mass, kg": float(np.maximum(self.prior[:, 0], 0.0).sum()),
         }
         links = {"link": list(self.link_names), "described mass, kg": self.prior[:, 0].tolist()}
