@@ -66,6 +66,7 @@ ROOMS = {
         "closed_loop",
         "recursive",
         "positions",
+        "elasticity",
     ],
     "excitation": [
         "geometry",

@@ -27,7 +27,9 @@ def arm() -> sdpid.RobotModel:
     return described_arm(random_links(np.random.default_rng(5), 3))
 
 
-def log(seed: int, *, line: float = 0.0, noise: float = 2e-5) -> sdpid.Recording:
+def log(
+    seed: int, *, line: float = 0.0, noise: float = 2e-5, late: float = DELAY
+) -> sdpid.Recording:
     """Return a recording of gears that give way by the links' torque, links read late.
 
     A line of 200 cycles a turn is an error of the second link's encoder.
@@ -47,7 +49,7 @@ def log(seed: int, *, line: float = 0.0, noise: float = 2e-5) -> sdpid.Recording
         return np.asarray(robot.inverse_dynamics(robot.prior, *states) / STIFFNESS)
 
     motor = at(time) + rng.normal(0.0, noise, (len(time), 3))
-    link = at(time - DELAY) - deflection(time - DELAY) + [0.01, 0.02, -0.01]
+    link = at(time - late) - deflection(time - late) + [0.01, 0.02, -0.01]
     link[:, 1] += line * np.sin(200.0 * link[:, 1])
     link += rng.normal(0.0, noise, link.shape)
     states = at(time), at(time, 1), at(time, 2)
@@ -97,6 +99,87 @@ def test_what_two_encoders_tell():
     np.testing.assert_allclose(one.deflection(blind), one.deflection(other), atol=1e-12)
 
 
+def changed(**tables: Array) -> sdpid.Recording:
+    return replace(log(1), **tables)
+
+
+def tables() -> tuple[Array, Array]:
+    both = log(1)
+    assert both.link_position is not None
+    return np.array(both.position), np.array(both.link_position)
+
+
+def rounded() -> sdpid.Recording:
+    """Return a recording whose last link repeats its motor, but for rounding."""
+    motor, link = tables()
+    link[:, 2] = np.round(motor[:, 2], 8)
+    return changed(link_position=link)
+
+
+def in_another_order() -> sdpid.Recording:
+    (motor, link), order, both = tables(), [2, 0, 1], log(1)
+    return sdpid.Recording(
+        time=both.time,
+        position=motor[:, order],
+        effort=both.effort[:, order],
+        link_position=link[:, order],
+        joint_names=[both.names[j] for j in order],
+    )
+
+
+def with_gaps() -> sdpid.Recording:
+    keep = np.ones(log(1).n_samples, dtype=bool)
+    keep[[*range(1000, 1100), *range(1105, 1200), *range(3000, 3050)]] = False
+    return log(1).rows(keep)
+
+
+def jittered() -> sdpid.Recording:
+    jitter = np.random.default_rng(0).uniform(-0.2, 0.2, log(1).n_samples) / RATE
+    return changed(time=log(1).time + jitter)
+
+
+def wrapped() -> sdpid.Recording:
+    motor, link = tables()
+    return changed(position=motor % (2.0 * np.pi), link_position=link % (2.0 * np.pi))
+
+
+WAYS = {
+    "rounded": (rounded, DELAY),
+    "in another order": (in_another_order, DELAY),
+    "with gaps": (with_gaps, DELAY),
+    "jittered": (jittered, DELAY),
+    "wrapped": (wrapped, DELAY),
+    "in periods": (lambda: replace(log(1).rows(slice(0, 4000)), period=4.0), DELAY),
+    "without noise": (lambda: log(1, noise=0.0), DELAY),
+    "early": (lambda: log(1, late=-8e-3), -8e-3),
+    "very late": (lambda: log(1, late=2e-2), 2e-2),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_recordings_of_every_kind_tell_the_same(way: str):
+    make, delay = WAYS[way]
+    one = sdpid.identify_elasticity(rigid(), make(), ROTORS)
+    np.testing.assert_allclose(one.stiffness[:2], STIFFNESS[:2], rtol=3e-3)
+    np.testing.assert_allclose(one.delay_s[:2], delay, atol=1e-5)
+    assert np.isnan(one.stiffness[2])
+    assert np.isfinite(one.compliance[2]) == (way != "rounded")
+
+
+def test_deflections_have_the_rows_of_the_recording():
+    one, gaps = found(1), with_gaps()
+    own = one.deflection(gaps)
+    assert own.shape == gaps.position.shape
+    # A stretch of five samples is too short to filter.
+    alone = np.isnan(own).any(axis=1)
+    assert np.flatnonzero(alone).tolist() == [*range(1000, 1005)]
+    rows = np.searchsorted(log(1).time, gaps.time)
+    missed = own - one.deflection(log(1))[rows]
+    assert np.nanmedian(np.abs(missed)) < 5e-6
+    # Near ends of stretches the filter is off.
+    assert np.nanmax(np.abs(missed)) < 2e-3
+
+
 def test_a_line_of_an_encoder_is_kept_where_recordings_that_are_left_out_keep_it():
     one, two = found(1, line=2e-3), found(1, 2, 3, line=2e-3)
     assert one.terms == ((), (), ())
@@ -141,10 +224,16 @@ def test_joints_with_one_encoder_are_left_out():
     links[:, 2] = both.position[:, 1]
     one = sdpid.identify_elasticity(rigid(), replace(both, link_position=links), ROTORS)
     assert np.isfinite(one.compliance).tolist() == [False, True, False]
-    kinds = {
-        each.kind for each in sdpid.inspect_recording(replace(both, link_position=links)).findings
-    }
-    assert {"link_late", "link_unlike"} <= kinds
+    found = sdpid.inspect_recording(replace(both, link_position=links)).findings
+    assert {"link_late", "link_unlike"} <= {each.kind for each in found}
+    # Joints at rest are like no other, and rounding makes no other encoder.
+    motor, links = tables()
+    rng = np.random.default_rng(0)
+    motor[:, 0], links[:, 0] = 0.3 + 1e-5 * rng.standard_normal((2, len(motor)))
+    links[:, 2] = np.round(motor[:, 2], 8)
+    found = sdpid.inspect_recording(changed(position=motor, link_position=links)).findings
+    assert "link_late" in (kinds := {each.kind for each in found})
+    assert "link_unlike" not in kinds
 
 
 REFUSED = [
@@ -158,6 +247,11 @@ REFUSED = [
         lambda: sdpid.identify_elasticity(rigid(), replace(log(1), link_position=log(1).position)),
         "no joint has a second encoder",
     ),
+    (
+        lambda: sdpid.identify_elasticity(rigid(), log(1).rows(slice(0, 60))),
+        "a recording has .* samples, in stretches without gaps; at least 200",
+    ),
+    (lambda: sdpid.identify_elasticity(rigid(), log(1), ["a"] * 3), "rotor_inertia: is"),  # type: ignore[arg-type]
     (
         lambda: sdpid.identify_elasticity(rigid(), log(1), rotor_inertia=[1.0, 2.0]),
         "rotor_inertia: is .* for each of the 3 joints",

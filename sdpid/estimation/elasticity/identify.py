@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Indices
+from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
 from sdpid.estimation.elasticity.result import Elasticity, student
-from sdpid.estimation.elasticity.signals import Run, runs_of
+from sdpid.estimation.elasticity.signals import Run, pieces_of, runs_of
 from sdpid.estimation.elasticity.terms import DeflectionTerm, candidates
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import Posterior
-from sdpid.experiment.inspection.block_fit import block_error
-from sdpid.experiment.recording.joints import FOLLOWS, match_joints, two_encoders
+from sdpid.experiment.inspection.block_fit import BLOCKS, block_error
+from sdpid.experiment.recording.joints import FOLLOWS, two_encoders
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -35,6 +35,10 @@ _WORTH = 0.02
 _ROUNDS = 4
 # Samples that a fit takes; of more, which are alike, some are left out.
 _SAMPLES = 60_000
+# Samples that every recording has at least: ten a block of time.
+_LEAST_ROWS = 10 * BLOCKS
+# A joint whose differences are explained better than by this share is not more exact.
+_EXACT = 1e-4
 
 
 class _Model(NamedTuple):
@@ -67,21 +71,25 @@ class _Model(NamedTuple):
         """Return the delay of every joint, (m,), of the unknowns."""
         return np.broadcast_to(x[: self.places[0]], (len(self.terms),))
 
-    def weights(self, x: Array) -> list[Array]:
-        """Return each joint's compliance and weights."""
-        return [x[a:b] for a, b in pairwise(self.places.tolist())]
+    def split(self, x: Array) -> list[Array]:
+        """Return each joint's delay, compliance and weights."""
+        delays = self.delays(x).tolist()
+        return [
+            np.r_[delay, x[a:b]]
+            for delay, (a, b) in zip(delays, pairwise(self.places), strict=True)
+        ]
 
     def weighted(self, x: Array) -> list[tuple[DeflectionTerm, ...]]:
         """Return the terms of every joint with their weights."""
         found = []
-        for terms, values in zip(self.terms, self.weights(x), strict=True):
-            parts = np.split(values[1:], np.cumsum([term.size for term in terms])[:-1])
+        for terms, values in zip(self.terms, self.split(x), strict=True):
+            parts = np.split(values[2:], np.cumsum([term.size for term in terms])[:-1])
             each = zip(terms, parts, strict=False)
             found.append(tuple(replace(term, weights=weights) for term, weights in each))
         return found
 
 
-class _Fit(NamedTuple):
+class _Solution(NamedTuple):
     """Unknowns (k,): the best, those of no bounds, and the standard errors of these."""
 
     best: Array
@@ -141,13 +149,18 @@ def identify_elasticity(
         )
     logs = [log] if isinstance(log, Recording) else list(log)
     joints = _measured(robot, logs)
-    rotors, conditional = _rotors(estimate, joints, rotor_inertia)
-    groups = [runs_of(estimate, each, joints, rotors) for each in logs]
-    count = sum(len(run.link) for runs in groups for run in runs)
-    fitted = [[_thinned(run, -(-count // _SAMPLES)) for run in runs] for runs in groups]
-    model = _chosen(fitted)
-    fit, m = _fit(fitted, model), model.places[:-1]
-    errors = np.hypot(fit.errors[m], _of_links(estimate, groups, fit.free[m]))
+    rotors, shown, identified = _rotors(estimate, rotor_inertia)
+    stride = -(-sum(each.n_samples for each in logs) // _SAMPLES)
+    groups = [runs_of(estimate, each, joints, rotors, stride) for each in logs]
+    least = min(sum(len(run.link) for run in runs) for runs in groups)
+    if least < _LEAST_ROWS:
+        raise DataError(
+            f"elasticity: a recording has {least} samples, in stretches without gaps; at least "
+            f"{_LEAST_ROWS} are needed to tell errors from elasticity."
+        )
+    model = _chosen(groups)
+    fit, m = _fit(groups, model), model.places[:-1]
+    errors = np.hypot(fit.errors[m], _of_links(estimate, groups, fit.free[m], joints, identified))
     low, high = fit.free[m] - (reach := student() * errors), fit.free[m] + reach
 
     def of_all(values: Array) -> Array:
@@ -169,7 +182,7 @@ def identify_elasticity(
         stiffness=of_all(stiffness[:, 0]),
         interval=of_all(stiffness[:, 1:]),
         rotor_inertia=rotors,
-        conditional=conditional,
+        conditional=tuple(robot.joint_names[j] for j in joints.tolist() if not shown[j]),
         terms=tuple(terms.get(j, ()) for j in range(robot.n)),
         rms=np.zeros((len(logs), robot.n)),
     )
@@ -182,13 +195,12 @@ def _measured(robot: RobotModel, logs: Sequence[Recording]) -> Indices:
         raise DataError("elasticity: no recording is given.")
     found = np.ones(robot.n, dtype=bool)
     for number, log in enumerate(logs, start=1):
-        matched = match_joints(robot, log)
-        if matched.link_position is None:
+        if log.link_position is None:
             raise DataError(
                 f"elasticity: recording {number} has no positions of links; give "
                 "Recording(link_position=...), or columns called link_position_<joint>."
             )
-        found &= two_encoders(matched)
+        found &= two_encoders(max(pieces_of(robot, log), key=lambda piece: piece.n_samples))
     if not found.any():
         raise DataError(
             "elasticity: no joint has a second encoder: positions of links repeat those of motors, "
@@ -197,41 +209,26 @@ def _measured(robot: RobotModel, logs: Sequence[Recording]) -> Indices:
     return np.flatnonzero(found)
 
 
-def _rotors(
-    estimate: Estimate, joints: Indices, given: ArrayLike | None
-) -> tuple[Array, tuple[str, ...]]:
-    """Return the rotor inertia of every joint, and the joints whose stiffness depends on it."""
+def _rotors(estimate: Estimate, given: ArrayLike | None) -> tuple[Array, Mask, Mask]:
+    """Return every joint's rotor inertia, where the motion shows it, and where that is taken."""
     robot, base, theta = estimate.problem.robot, estimate.problem.base, estimate.some_theta
     values = np.full(robot.n, np.nan)
     if given is not None:
-        array = np.asarray(given, dtype=np.float64)
+        try:
+            array = np.asarray(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            array = np.full(0, np.nan)
         if array.shape not in ((), (robot.n,)) or (array < 0.0).any() or np.isinf(array).any():
             raise DataError(
                 f"rotor_inertia: is {given!r:.80}; give a number that is not negative, or one for "
                 f"each of the {robot.n} joints, NaN where it is unknown."
             )
         values = np.broadcast_to(array, (robot.n,)).copy()
-    shown = [f"Ia{j + 1}" in base.names for j in range(robot.n)]
-    for j in np.flatnonzero(np.isnan(values)).tolist():
-        name = f"Ia{j + 1}"
-        values[j] = theta[base.theta_names.index(name)] if shown[j] else 0.0
-    return values, tuple(robot.joint_names[j] for j in joints.tolist() if not shown[j])
-
-
-def _thinned(run: Run, stride: int) -> Run:
-    """Return every so many samples of a stretch."""
-    if stride == 1:
-        return run
-    late = run.late
-    tables: dict[str, Any] = {
-        k: getattr(run, k)[::stride] for k in ("link", "difference", "torque")
-    }
-
-    def thinned(delay: float) -> tuple[Array, Array]:
-        velocity, torque = late(delay)
-        return velocity[::stride], torque[::stride]
-
-    return run._replace(**tables, late=thinned)
+    shown = np.array([f"Ia{j + 1}" in base.names for j in range(robot.n)])
+    unknown = np.isnan(values)
+    for j in np.flatnonzero(unknown).tolist():
+        values[j] = theta[base.theta_names.index(f"Ia{j + 1}")] if shown[j] else 0.0
+    return values, shown, shown & unknown
 
 
 def _chosen(groups: list[list[Run]]) -> _Model:
@@ -240,96 +237,135 @@ def _chosen(groups: list[list[Run]]) -> _Model:
     model = _Model(((),) * m)
     if len(groups) == 1:
         return model
-    error = _left_out(groups, model)
     own = model._replace(shared=False)
-    if _is_better(other := _left_out(groups, own), error, slice(None)):
-        model, error = own, other
-    plain, x = model, _fit(groups, model).best
-    parts = [_columns(runs, plain, plain.delays(x)) for runs in groups]
+    if _is_better(_left_out(groups, own), _left_out(groups, model)):
+        model = own
+    x = _fit(groups, model).best
+    delays, plain = model.delays(x), model.split(x)
+    tables = [_tables([runs], model, delays) for runs in groups]
+    error = _left_out(groups, model, delays)
     for j in range(m):
-        weights = np.r_[plain.delays(x)[j], x[plain.places[j]]]
-        left = [signal[:, j] - columns[j] @ weights for columns, signal in parts]
-        links = [np.concatenate([run.link[:, j] for run in runs]) for runs in groups]
-        torques = [np.concatenate([run.torque[:, j] for run in runs]) for runs in groups]
-        for term in candidates(links, torques, left):
-            terms = [*model.terms]
-            terms[j] = (*terms[j], term)
-            richer = model._replace(terms=tuple(terms))
-            if _is_better(other := _left_out(groups, richer), error, slice(j, j + 1)):
+        for term in candidates(
+            [np.concatenate([run.link[:, j] for run in runs]) for runs in groups],
+            [np.concatenate([run.torque[:, j] for run in runs]) for runs in groups],
+            [each[j][:, -1] - each[j][:, :-1] @ plain[j] for each in tables],
+        ):
+            terms = (*model.terms[:j], (*model.terms[j], term), *model.terms[j + 1 :])
+            other = _left_out(groups, richer := model._replace(terms=terms), delays)
+            if _is_better(other[:, j], error[:, j]):
                 model, error = richer, other
     return model
 
 
-def _is_better(other: Array, error: Array, joints: slice) -> bool:
-    """Tell whether errors (R, m) of recordings that are left out fall in all, and enough."""
-    a, b = other[:, joints], error[:, joints]
-    return bool((a <= b).all() and np.sum(a**2) <= (1.0 - _WORTH) ** 2 * np.sum(b**2))
+def _is_better(other: Array, error: Array) -> bool:
+    """Tell whether errors (R, ...) of recordings that are left out fall in all, and enough."""
+    enough = np.sum(other**2) <= (1.0 - _WORTH) ** 2 * np.sum(error**2)
+    return bool((other <= error).all() and enough)
 
 
-def _left_out(groups: list[list[Run]], model: _Model) -> Array:
+def _left_out(groups: list[list[Run]], model: _Model, delays: Array | None = None) -> Array:
     """Return the error (R, m) on each recording of what was fitted to the others."""
     errors = []
     for k, runs in enumerate(groups):
-        x = _fit([*groups[:k], *groups[k + 1 :]], model).best
-        columns, signal = _columns(runs, model, model.delays(x))
-        parts = zip(columns, model.delays(x), model.weights(x), strict=True)
-        known = [each @ np.r_[delay, weights] for each, delay, weights in parts]
-        errors.append((signal - np.stack(known, axis=1)).std(axis=0))
+        x = _fit([*groups[:k], *groups[k + 1 :]], model, delays).best
+        errors.append(_missed(_tables([runs], model, model.delays(x)), model.split(x)).std(axis=0))
     return np.array(errors)
 
 
-def _columns(runs: list[Run], model: _Model, delays: Array) -> tuple[list[Array], Array]:
-    """Return each joint's columns (N, 2 + k) in a recording and the differences (N, m).
+def _table(
+    runs: list[Run], late: list[tuple[Array, Array]], j: int, terms: tuple[DeflectionTerm, ...]
+) -> Array:
+    """Return a joint's velocity, torque, columns of terms and differences in a recording.
 
-    The columns are velocity, torque and those of its terms. Means are taken off: the offset.
+    It is (N, 3 + k). Means are taken off: the offset.
     """
-    velocity, torque = np.zeros((2, sum(len(run.link) for run in runs), len(delays)))
-    for delay in np.unique(delays).tolist():
-        own, parts = delays == delay, [run.late(delay) for run in runs]
-        velocity[:, own] = np.concatenate([rates for rates, _ in parts])[:, own]
-        torque[:, own] = np.concatenate([loads for _, loads in parts])[:, own]
-    columns = []
-    for j, terms in enumerate(model.terms):
-        more = [
-            np.concatenate([term.columns(run.link[:, j], run.torque[:, j]) for run in runs])
-            for term in terms
-        ]
-        columns.append(np.column_stack([velocity[:, j], torque[:, j], *more]))
-    difference = np.concatenate([run.difference for run in runs])
-    return [each - each.mean(axis=0) for each in columns], difference - difference.mean(axis=0)
+    parts = []
+    for run, (velocity, torque) in zip(runs, late, strict=True):
+        more = [term.columns(run.link[:, j], torque[:, j]) for term in terms]
+        columns = (velocity[:, j], torque[:, j], *more, run.difference[:, j])
+        parts.append(np.column_stack(columns))
+    table = np.concatenate(parts)
+    return np.asarray(table - table.mean(axis=0))
 
 
-def _fit(groups: list[list[Run]], model: _Model) -> _Fit:
-    """Fit delays, compliances that are not negative, and weights, to recordings."""
+def _tables(groups: list[list[Run]], model: _Model, delays: Array) -> list[Array]:
+    """Return every joint's table of all recordings."""
+    late = [[run.late(delays) for run in runs] for runs in groups]
+    return [
+        np.concatenate(
+            [_table(runs, each, j, terms) for runs, each in zip(groups, late, strict=True)]
+        )
+        for j, terms in enumerate(model.terms)
+    ]
+
+
+def _missed(tables: list[Array], weights: list[Array]) -> Array:
+    """Return what weights of the columns leave of the differences, (N, m)."""
+    each = zip(tables, weights, strict=True)
+    return np.stack([table[:, -1] - table[:, :-1] @ x for table, x in each], axis=1)
+
+
+def _least(A: Array, y: Array, low: Array) -> tuple[Array, Array]:
+    """Return the best weights of columns that are not below others, and the best of all."""
     from scipy.optimize import lsq_linear
 
+    scale = np.linalg.norm(A, axis=0)
+    scale[scale == 0.0] = 1.0
+    free = np.linalg.lstsq(A / scale, y)[0]
+    if (free >= low).all():
+        return free / scale, free / scale
+    return lsq_linear(A / scale, y, (low, np.inf)).x / scale, free / scale
+
+
+def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) -> _Solution:
+    """Fit delays, compliances that are not negative, and weights, to recordings.
+
+    Delays that are nearly right take fewer rounds.
+    """
     m, low, places = len(model.terms), model.least(), model.places
-    best, weight = np.zeros(places[-1]), np.ones(m)
-    for _ in range(_ROUNDS):
-        parts = [_columns(runs, model, model.delays(best)) for runs in groups]
-        signal = np.concatenate([each for _, each in parts])
-        table = np.zeros((len(signal), m, places[-1]))
-        for j, (first, stop) in enumerate(pairwise(places.tolist())):
-            columns = np.concatenate([each[j] for each, _ in parts])
-            table[:, j, 0 if model.shared else j] = columns[:, 0]
-            table[:, j, first:stop] = columns[:, 1:]
-        scale = np.sqrt(np.sum(table**2, axis=(0, 1)))
-        scale[scale == 0.0] = 1.0
-        scaled = (table * weight[:, None] / scale).reshape(-1, places[-1])
-        target = (signal * weight).ravel()
-        free = np.linalg.lstsq(scaled, target)[0]
-        best = free if (free >= low).all() else lsq_linear(scaled, target, (low, np.inf)).x
-        missed = (target - scaled @ free).reshape(-1, m)
-        best = best / scale
-        weight = 1.0 / np.maximum((signal - table @ best).std(axis=0), np.finfo(float).tiny)
-    scores = np.einsum("nmk,nm->nk", scaled.reshape(-1, m, places[-1]), missed)
-    errors = block_error(scores @ np.linalg.pinv(scaled.T @ scaled))
-    return _Fit(best=best, free=free / scale, errors=errors / scale)
+    rounds, delays = (_ROUNDS, np.zeros(m)) if delays is None else (_ROUNDS // 2, delays)
+    weight = np.ones(m)
+    of = [np.r_[0 if model.shared else j, range(*ends)] for j, ends in enumerate(pairwise(places))]
+    for _ in range(rounds):
+        tables, parts, used = _tables(groups, model, delays), [], weight
+        # As good as the rows, of which a joint's touch its own unknowns only.
+        for unknowns, table, w in zip(of, tables, weight.tolist(), strict=True):
+            small = w * np.asarray(np.linalg.qr(table, mode="r"))
+            parts.append(np.zeros((len(small), places[-1] + 1)))
+            parts[-1][:, [*unknowns, -1]] = small
+        system = np.concatenate(parts)
+        best, free = _least(system[:, :-1], system[:, -1], low)
+        delays = model.delays(best)
+        sizes = np.array([table[:, -1].std() for table in tables])
+        left = _missed(tables, model.split(best)).std(axis=0)
+        weight = 1.0 / np.maximum(left, _EXACT * sizes)
+    scores = np.zeros((BLOCKS, places[-1]))
+    left = used**2 * _missed(tables, model.split(free))
+    for j, (unknowns, table) in enumerate(zip(of, tables, strict=True)):
+        each = np.array_split(table[:, :-1] * left[:, j, None], BLOCKS)
+        scores[:, unknowns] += [part.sum(axis=0) for part in each]
+    scale = np.linalg.norm(system[:, :-1], axis=0)
+    scale[scale == 0.0] = 1.0
+    inverse = np.linalg.pinv((A := system[:, :-1] / scale).T @ A)
+    errors = block_error((scores / scale) @ inverse) / scale
+    return _Solution(best=best, free=free, errors=errors * np.sqrt(BLOCKS / (BLOCKS - 1.0)))
 
 
-def _of_links(estimate: Estimate, groups: list[list[Run]], compliance: Array) -> Array:
-    """Return the standard errors (m,) that compliances have from those of the rigid robot."""
-    runs = [run for each in groups for run in each]
+def _of_links(
+    estimate: Estimate,
+    groups: list[list[Run]],
+    compliance: Array,
+    joints: Indices,
+    identified: Mask,
+) -> Array:
+    """Return the standard errors (m,) that compliances have from those of the rigid robot.
+
+    Torques do not depend on rotor inertias that were identified, and are then taken off.
+    """
+    runs, names = [run for each in groups for run in each], estimate.problem.base.theta_names
     power = np.sum([np.sum((r.torque - r.torque.mean(axis=0)) ** 2, axis=0) for r in runs], axis=0)
     moved = -compliance[:, None] * np.sum([run.slopes for run in runs], axis=0) / power[:, None]
+    for k, j in enumerate(joints.tolist()):
+        if identified[j]:
+            moved[k, names.index(f"Ia{j + 1}")] = 0.0
     return np.sqrt(np.diag(Posterior.of(estimate).covariance(moved)))

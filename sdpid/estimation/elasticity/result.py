@@ -94,31 +94,40 @@ class Elasticity(Shown):
         Returns
         -------
         ndarray, shape (N, n)
-            rad (m); zero for joints with one encoder.
+            For every sample of the recording, rad (m); zero for joints with one encoder, NaN for
+            samples alone between gaps.
         """
-        return self._parts(log)[0]
+        found = np.full((log.n_samples, len(self.compliance)), np.nan)
+        for time, predicted, _ in self._parts(log):
+            half = 0.5 * (time[1] - time[0])
+            rows = (log.time >= time[0] - half) & (log.time <= time[-1] + half)
+            for j, column in enumerate(predicted.T):
+                found[rows, j] = np.interp(log.time[rows], time, column)
+        return found
 
     def errors(self, log: Recording) -> Array:
-        """Return by how much links' positions are predicted wrong, (N, n), each mean taken off."""
-        predicted, measured = self._parts(log)
-        missed = measured - predicted
+        """Return by how much links' positions are predicted wrong, (N, n), each mean taken off.
+
+        In uniform samples of the stretches without gaps.
+        """
+        missed = np.concatenate(
+            [measured - predicted for _, predicted, measured in self._parts(log)]
+        )
         return np.asarray(missed - missed.mean(axis=0))
 
-    def _parts(self, log: Recording) -> tuple[Array, Array]:
-        """Return predicted and measured differences of all joints in all samples."""
+    def _parts(self, log: Recording) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield times, predicted and measured differences of all joints in every stretch."""
         joints = np.flatnonzero(np.isfinite(self.compliance))
-        tables = []
         for run in runs_of(self.estimate, log, joints, self.rotor_inertia):
-            both = np.zeros((2, len(run.link), len(self.compliance)))
+            predicted, measured = np.zeros((2, len(run.link), len(self.compliance)))
+            velocity, torque = run.late(self.delay_s[joints])
             for k, j in enumerate(joints.tolist()):
-                velocity, torque = run.late(float(self.delay_s[j]))
-                both[0, :, j] = self.delay_s[j] * velocity[:, k] + self.compliance[j] * torque[:, k]
+                predicted[:, j] = self.delay_s[j] * velocity[:, k]
+                predicted[:, j] += self.compliance[j] * torque[:, k]
                 for term in self.terms[j]:
-                    both[0, :, j] += term.columns(run.link[:, k], run.torque[:, k]) @ term.weights
-            both[1][:, joints] = run.difference
-            tables.append(both)
-        predicted, measured = np.concatenate(tables, axis=1)
-        return predicted, measured
+                    predicted[:, j] += term.columns(run.link[:, k], torque[:, k]) @ term.weights
+            measured[:, joints] = run.difference
+            yield run.time, predicted, measured
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; what cannot be told is None."""

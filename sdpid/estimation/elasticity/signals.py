@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +16,14 @@ from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.recording.gaps import continuous, make_grid
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
 
 # Rows whose regressors are held at a time.
 _CHUNK = 20_000
+# Time constants of the filter in which it is off at the ends of a stretch.
+_SPOILED = 5.0
+# Samples of the shortest stretch that is used.
+_LEAST = 10
 
 
 class Run(NamedTuple):
@@ -24,6 +31,8 @@ class Run(NamedTuple):
 
     Attributes
     ----------
+    time : ndarray, shape (N,)
+        Of the samples, s.
     link : ndarray, shape (N, m)
         Positions that the links' encoders recorded, of the joints that have one, rad (m).
     difference : ndarray, shape (N, m)
@@ -34,18 +43,30 @@ class Run(NamedTuple):
         Sums over the samples of torques, their means taken off, times how these depend on the
         standard parameters.
     late : callable
-        Takes a delay (s) and returns the motors' velocities (N, m) half of it earlier, whose
-        product with it they went on by meanwhile, and the torques (N, m) that much earlier.
+        Takes every joint's delay (s) and returns the motors' velocities (N, m) half of it earlier,
+        whose product with it they went on by meanwhile, and the torques (N, m) that much earlier.
     """
 
+    time: Array
     link: Array
     difference: Array
     torque: Array
     slopes: Array
-    late: Callable[[float], tuple[Array, Array]]
+    late: Callable[[Array], tuple[Array, Array]]
 
 
-def runs_of(estimate: Estimate, log: Recording, joints: Indices, rotors: Array) -> list[Run]:
+def pieces_of(robot: RobotModel, log: Recording) -> tuple[Recording, ...]:
+    """Return the stretches of a recording without gaps, with the robot's joints."""
+    return continuous(match_joints(robot, log))[0]
+
+
+def runs_of(
+    estimate: Estimate,
+    log: Recording,
+    joints: Indices,
+    rotors: Array,
+    stride: int | None = None,
+) -> list[Run]:
     """Return a recording's stretches.
 
     Parameters
@@ -58,17 +79,26 @@ def runs_of(estimate: Estimate, log: Recording, joints: Indices, rotors: Array) 
         Those with an encoder at the link.
     rotors : ndarray, shape (n,)
         Rotor inertia of every joint, kg·m² (kg), whose torque does not pass its gear.
+    stride : int, optional
+        Every so many samples are returned, without those at the ends that the filter spoils. By
+        default all are.
     """
-    matched = match_joints(estimate.problem.robot, log)
-    cutoff_hz = default_processing(matched).cutoff_hz
-    return [_run(estimate, piece, joints, rotors, cutoff_hz) for piece in continuous(matched)[0]]
+    pieces = [each for each in pieces_of(estimate.problem.robot, log) if each.n_samples >= _LEAST]
+    cutoff_hz = default_processing(replace(log, period=None)).cutoff_hz if pieces else np.nan
+    runs = [_run(estimate, piece, joints, rotors, cutoff_hz, stride) for piece in pieces]
+    return [run for run in runs if len(run.time)]
 
 
 def _run(
-    estimate: Estimate, log: Recording, joints: Indices, rotors: Array, cutoff_hz: float
+    estimate: Estimate,
+    log: Recording,
+    joints: Indices,
+    rotors: Array,
+    cutoff_hz: float,
+    stride: int | None,
 ) -> Run:
     """Return a stretch without gaps."""
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import CubicSpline, PPoly
 
     robot, theta, grid = estimate.problem.robot, estimate.some_theta, make_grid(log)
     links = log.link_position
@@ -76,34 +106,46 @@ def _run(
         np.stack([grid.read(column, 0, grid.count) for column in np.asarray(table).T], axis=1)
         for table in (log.position, log.position if links is None else links)
     )
-    smooth = low_pass("butterworth", cutoff_hz, 4, 1.0 / grid.step).whole(motor)
+    passed = low_pass("butterworth", cutoff_hz, 4, 1.0 / grid.step)
+    smooth, kept = passed.whole(motor), np.arange(grid.count)
+    if stride is not None:
+        ends = math.ceil(_SPOILED * passed.time_constant)
+        kept = kept[ends:-ends:stride]
     time = grid.step * np.arange(grid.count)
     spline = CubicSpline(time, smooth)
-    velocity, acceleration = spline(time, 1), spline(time, 2)
     known = {name: k for k, name in enumerate(estimate.problem.base.theta_names)}
     drives = [(row, known.get(f"Ia{j + 1}")) for row, j in enumerate(joints.tolist())]
     torque, sums = np.empty((grid.count, len(joints))), np.zeros((2, len(joints), len(theta)))
     for first in range(0, grid.count, _CHUNK):
         rows = slice(first, first + _CHUNK)
-        bodies = robot.regressor(smooth[rows], velocity[rows], acceleration[rows])[:, joints]
+        velocity, acceleration = spline(time[rows], 1), spline(time[rows], 2)
+        bodies = robot.regressor(smooth[rows], velocity, acceleration)[:, joints]
         columns = np.zeros((*bodies.shape[:2], len(theta)))
         columns[:, :, : bodies.shape[2]] = bodies
         for row, column in drives:
             if column is not None:
-                columns[:, row, column] = acceleration[rows, joints[row]]
-        torque[rows] = columns @ theta - rotors[joints] * acceleration[rows][:, joints]
-        sums += np.einsum("nm,nmp->mp", torque[rows], columns), columns.sum(axis=0)
+                columns[:, row, column] = acceleration[:, joints[row]]
+        torque[rows] = columns @ theta - rotors[joints] * acceleration[:, joints]
+        own = kept[np.searchsorted(kept, first) : np.searchsorted(kept, first + _CHUNK)]
+        columns = columns[own - first]
+        sums += np.einsum("nm,nmp->mp", torque[own], columns), columns.sum(axis=0)
 
-    torques = CubicSpline(time, torque)
+    rates = [PPoly(spline.c[:, :, j], time).derivative() for j in joints.tolist()]
+    torques = [CubicSpline(time, each) for each in torque.T]
+    taken = time[kept]
 
-    def late(delay: float) -> tuple[Array, Array]:
-        half, whole = (np.clip(time - part * delay, 0.0, time[-1]) for part in (0.5, 1.0))
-        return np.asarray(spline(half, 1)[:, joints]), np.asarray(torques(whole))
+    def late(delays: Array) -> tuple[Array, Array]:
+        moved = [np.clip(taken - delay, 0.0, time[-1]) for delay in (*(0.5 * delays), *delays)]
+        both = [curve(when) for curve, when in zip((*rates, *torques), moved, strict=True)]
+        return np.stack(both[: len(joints)], axis=1), np.stack(both[len(joints) :], axis=1)
 
+    # Without samples there is no mean.
+    mean = torque[kept].sum(axis=0) / max(len(kept), 1)
     return Run(
-        link=link[:, joints],
-        difference=(motor - link)[:, joints],
-        torque=torque,
-        slopes=sums[0] - torque.mean(axis=0)[:, None] * sums[1],
+        time=np.asarray(grid.origin + taken),
+        link=link[kept][:, joints],
+        difference=(motor - link)[kept][:, joints],
+        torque=torque[kept],
+        slopes=sums[0] - mean[:, None] * sums[1],
         late=late,
     )

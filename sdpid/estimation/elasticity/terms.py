@@ -12,6 +12,8 @@ from sdpid._common.arrays import Array
 _FEWEST, _MOST = 50.0, 5000.0
 # Bins a cycle of the fastest line.
 _BINS = 4
+# All of them, at most.
+_MOST_BINS = 1 << 20
 # Elements that slip at these shares of the largest torque.
 _SLIPS = (0.1, 0.3)
 # Powers of the position in its range.
@@ -82,7 +84,10 @@ def _cycles(links: list[Array], left: list[Array]) -> float:
     from scipy.optimize import minimize_scalar
 
     origin = min(float(each.min()) for each in links)
-    width = 2.0 * np.pi / (_BINS * _MOST)
+    # Joints that turn on and on have wider bins, and lines of fewer cycles a turn.
+    span = max(float(each.max()) for each in links) - origin
+    width = max(2.0 * np.pi / (_BINS * _MOST), span / _MOST_BINS)
+    most = 2.0 * np.pi / (_BINS * width)
     bins = np.concatenate([((each - origin) / width).astype(np.intp) for each in links])
     sums = np.bincount(bins, weights=np.concatenate(left))
     # Twice as long, so that no line falls between two frequencies.
@@ -90,7 +95,7 @@ def _cycles(links: list[Array], left: list[Array]) -> float:
     power = np.abs(np.fft.rfft(sums, size)) ** 2
     each = 2.0 * np.pi / (size * width)
     inside = np.flatnonzero(
-        (each * np.arange(len(power)) >= _FEWEST) & (each * np.arange(len(power)) <= _MOST)
+        (each * np.arange(len(power)) >= _FEWEST) & (each * np.arange(len(power)) <= most)
     )
     if not inside.size:
         return _FEWEST

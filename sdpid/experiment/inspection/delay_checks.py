@@ -21,7 +21,7 @@ from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, warni
 from sdpid.experiment.inspection.rows import FilteredRows, follows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
 from sdpid.experiment.processing.on_time import CHANNELS
-from sdpid.experiment.recording.joints import FOLLOWS, two_encoders
+from sdpid.experiment.recording.joints import FOLLOWS, two_encoders, unlike
 from sdpid.experiment.recording.plausible import moving
 
 _LATE = partial(warning, "{what}", "{remedy}", about="late")
@@ -60,6 +60,8 @@ _LEAST_JOINTS = 2
 _LEAST_ALONE, _TAKES_ALONE, _ALSO_TAKES, _ALIKE = 0.025, 0.6, 0.5, 0.02
 # Samples of encoders that are compared.
 _READ = 200_000
+# A delay is told that explains this share of what is between them.
+_EXPLAINS = 0.1
 # Directions of the regressor with less than this share of the largest singular value are noise.
 _RANK = 1e-3
 # Rows that are left beside the columns, at least.
@@ -102,8 +104,10 @@ def late_links(subject: Subject) -> Iterator[Finding]:
     assert log.link_position is not None  # pieces have what the recording has
     rows = slice(0, _READ)
     motor, link = np.asarray(log.position[rows]), np.asarray(log.link_position[rows])
-    for j in np.flatnonzero(~both & np.any(motor != link, axis=0)).tolist():
-        share = float((motor - link)[:, j].std() / max(motor[:, j].std(), np.finfo(float).tiny))
+    moves = moving(*subject.position_range)
+    shares = unlike(motor, link)
+    for j in np.flatnonzero(~both & moves & (shares >= FOLLOWS)).tolist():
+        share = float(shares[j])
         yield found("link_unlike", log.names[j], share=share, limit=FOLLOWS)
     delay = lag(motor[:, both], link[:, both], log.step) if both.any() else None
     if delay is None or not (late := -delay.value) or abs(late) < SURE * delay.error:
@@ -111,6 +115,8 @@ def late_links(subject: Subject) -> Iterator[Finding]:
     difference = motor[:, both] - link[:, both]
     left = difference - late * np.gradient(motor[:, both], log.step, axis=0)
     share = 1.0 - float(np.mean(left.var(axis=0) / difference.var(axis=0)))
+    if share < _EXPLAINS:
+        return
     what = (
         f"encoders at links are {_late(late)} by {1e3 * abs(late):.3g} ms (error "
         f"{1e3 * delay.error:.2g} ms) against those at motors: that explains "

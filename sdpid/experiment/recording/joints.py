@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Mask
+from sdpid._common.arrays import Array, Mask
 from sdpid._common.files import printable
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import OPTIONAL, Recording, channels, renamed
@@ -20,6 +20,8 @@ from sdpid.robot.model.model import RobotModel
 
 # Gears give way by far less than this share of the motion.
 FOLLOWS = 0.05
+# What differs by a smaller share is the same encoder, rounded.
+_REPEATS = 1e-5
 
 
 def two_encoders(log: Recording) -> Mask:
@@ -27,8 +29,21 @@ def two_encoders(log: Recording) -> Mask:
     if log.link_position is None:
         return np.zeros(log.n, dtype=bool)
     motor, link = np.asarray(log.position), np.asarray(log.link_position)
-    off = (motor - link).std(axis=0)
-    return np.asarray((off > 0.0) & (off < FOLLOWS * motor.std(axis=0)))
+    off, moved = (motor - link).std(axis=0), motor.std(axis=0)
+    return np.asarray((off > _REPEATS * moved) & (unlike(motor, link) < FOLLOWS))
+
+
+def unlike(motor: Array, link: Array) -> Array:
+    """Return what of positions of links motors' do not explain, late or not, (n,).
+
+    It is a share of the motion; infinite without any.
+    """
+    moved, rate = motor - motor.mean(axis=0), np.gradient(motor, axis=0)
+    off, power = (motor - link) - (motor - link).mean(axis=0), np.sum(rate**2, axis=0)
+    late = np.sum(rate * off, axis=0) / np.where(power > 0.0, power, 1.0)
+    size = moved.std(axis=0)
+    left = (off - late * rate).std(axis=0)
+    return np.where(size > 0.0, left / np.where(size > 0.0, size, 1.0), np.inf)
 
 
 def match_joints(robot: RobotModel, log: Recording) -> Recording:
