@@ -38,6 +38,10 @@ if TYPE_CHECKING:
         "--figures/--no-figures = off": "Write training.png and validation.png too; needs "
         "matplotlib.",
         "--offsets/--no-offsets = off": "Write offsets into identified.xml, as constant actuators.",
+        "--rotor-inertia X,Y,...": "Rotor inertia of every joint, seen from behind its gear, kg.m2 "
+        "(nan where unknown), for the stiffness of gears where logs have positions of links.",
+        "--elastic/--no-elastic = off": "Write identified_elastic.xml too: springs between motors "
+        "and links.",
         "--verbose -v": "Print notes, tables and the whole verdict too.",
     },
 )
@@ -62,7 +66,7 @@ def identify(given: Given) -> None:
         or None,
         processing=logs.processing(given),
         intervals=given.interval_method if given.intervals else False,
-        **given.chosen("folds rollout accept"),
+        **given.chosen("folds rollout accept rotor_inertia"),
         **logs.formulation(given, model),
         **logs.law(given, model),
     )
@@ -72,17 +76,22 @@ def identify(given: Given) -> None:
         *(each for each in result.notes if each not in findings),
         *(each for each in (result.intervals_note, result.bias_note) if each),
     ]
+    if given.elastic and result.elasticity is None:
+        notes.append("no identified_elastic.xml: nothing was found of the elasticity of gears")
     exports: list[ExportReport] = []
     if config is not None:
         result = replace(result, inputs=(*result.inputs, file_entry("config", Source.of(config))))
     if not given.json:
         # Before the files: what it says is known already.
-        given.show(None, "\n".join(printable(line) for line in result.headline.lines))
+        told = [] if result.elasticity is None else [result.elasticity.in_words()]
+        lines = [*result.headline.lines, *told]
+        given.show(None, "\n".join(printable(line) for line in lines))
     saved = result.save(
         out,
         figures=given.figures,
         offsets=given.offsets,
         tendons=given.tendons,
+        elastic=given.elastic,
         report=notes.append,
         command=command_line(given.ctx),
         config=config_text(given.ctx, out),

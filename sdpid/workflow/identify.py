@@ -25,6 +25,7 @@ from sdpid.estimation.closed_loop.bias import BiasTest, check_bias
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.effects.kinds import Effects
+from sdpid.estimation.elasticity.identify import identify_elasticity
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise import landings_used, with_motion_bias
 from sdpid.estimation.positions.law_fit import Target, first_law, fit_law, too_heavy
@@ -107,6 +108,7 @@ def identify(
     rollout: bool = False,
     law: PD | None = None,
     target: Target | None = None,
+    rotor_inertia: ArrayLike | None = None,
 ) -> Identification:
     """Identify the dynamics of a robot from one recording or several.
 
@@ -179,6 +181,9 @@ def identify(
         Where the model will be used: the drives are reduced at the end to what that can hold. By
         default ``"mujoco"`` with a law. Of measured efforts the estimate stays what it is; a note
         says what the target's joints give up, and what that costs.
+    rotor_inertia : float or (n,) array_like, optional
+        For the elasticity of gears, where recordings have positions of links (see
+        `identify_elasticity`).
 
     Returns
     -------
@@ -265,6 +270,20 @@ def identify(
             **vars(formulation),
         )
         result = replace(result, cross_validation=left_out)
+    both = [log for log in prepared.logs if log.link_position is not None]
+    if both:
+        try:
+            elasticity = identify_elasticity(result.estimate, both, rotor_inertia)
+            result = replace(result, elasticity=elasticity)
+        except DataError as reason:
+            if rotor_inertia is not None:
+                raise
+            result = replace(result, notes=(*result.notes, f"no elasticity: {reason}"))
+    elif rotor_inertia is not None:
+        raise DataError(
+            "rotor_inertia: is for the elasticity of gears, and no recording has positions of "
+            "links (Recording.link_position, columns called link_position_<joint>)."
+        )
     if rollout and fresh is not None:
         from sdpid.assurance.rollouts.rollout import rollouts
 

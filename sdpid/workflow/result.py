@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 # What `Identification.to_dict` tells as it is.
 _AS_THEY_ARE = (
     *("findings", "verdict", "headline", "training", "validation", "held_out", "remedies"),
-    *("cross_validation", "rollouts", "bias", "bias_note"),
+    *("cross_validation", "rollouts", "bias", "bias_note", "elasticity"),
 )
 
 # Stands for the kind of a file while statements are compared.
@@ -70,6 +70,9 @@ NAMES = (
     "certificate.json",
     "identified.urdf",
     "identified.xml",
+    "identified_elastic.xml",
+    "elasticity.json",
+    "elasticity.csv",
     *FRICTION_FILES,
     *DRIVE_FILES,
     DRIVE_SAMPLES,
@@ -95,6 +98,7 @@ def save(
     figures: bool = False,
     offsets: bool = False,
     tendons: bool = False,
+    elastic: bool = False,
     report: Callable[[str], None] | None = None,
     command: str | None = None,
     config: str | None = None,
@@ -119,6 +123,9 @@ def save(
         Write offsets into identified.xml, as actuators with a constant force.
     tendons : bool, optional
         Write friction over position into identified.xml, as tendons with dry friction.
+    elastic : bool, optional
+        Write identified_elastic.xml too, with springs between motors and links where a stiffness
+        was found.
     report : callable, optional
         Called with a sentence for all that the files leave out of the estimate (see
         `ExportReport`), and for every file that is not written.
@@ -156,7 +163,10 @@ def save(
             write_parameters(estimate, path, intervals=ends, certificate=certificate)
             certificate.to_json(stage / "certificate.json")
             used = estimate if result.drives is None else result.drives.estimate(rich=tendons)
-            exports.extend(_robots(result, used, stage, note, offsets, tendons))
+            exports.extend(_robots(result, used, stage, note, offsets, tendons, elastic))
+            if result.elasticity is not None:
+                result.elasticity.save(stage / "elasticity.json")
+                result.elasticity.table().write(stage / "elasticity.csv")
             _friction(result, stage, note)
             if result.drives is not None:
                 note(write_drives(result.drives, stage))
@@ -193,6 +203,7 @@ def _robots(
     note: Callable[[str], None],
     offsets: bool,
     tendons: bool,
+    elastic: bool,
 ) -> list[ExportReport]:
     """Write the robot as URDF and MJCF where that can be, and note what they leave out."""
     problem = result.problem
@@ -210,6 +221,9 @@ def _robots(
             "steep": result.drives is None,
         }
         exports.append(write_mjcf(estimate, target=mjcf, **how))
+        if elastic and result.elasticity is not None:
+            target = folder / "identified_elastic.xml"
+            exports.append(write_mjcf(estimate, target=target, elasticity=result.elasticity, **how))
     except MissingExtraError:
         missing = f"mujoco is not installed ({installation('sim')})"
     except Exception as reason:
@@ -325,6 +339,9 @@ class Identification(Judged, Shown):
         not allow them (see `intervals_note`).
     cross_validation : CrossValidation or None
         Blocks of the training recordings held out in turn (see `sdpid.cross_validate`).
+    elasticity : Elasticity or None
+        What encoders of motors and links tell of the gears, where recordings have both (see
+        `sdpid.identify_elasticity`).
     rollouts : tuple of Rollout
         The validation recording simulated in open loop, all joints free and one at a time, where
         that was asked for (see `sdpid.rollout`).
@@ -522,6 +539,8 @@ class Identification(Judged, Shown):
         if self.bias is not None:
             lines.append(self.bias.verdict)
         lines += [each.verdict for each in self.rollouts]
+        if self.elasticity is not None:
+            lines.append(self.elasticity.in_words())
         if (meaning := in_words(self.intervals)) is not None:
             lines.append(meaning)
         weak = self.problem.excitation.weak()

@@ -185,8 +185,11 @@ def identify_elasticity(
         conditional=tuple(robot.joint_names[j] for j in joints.tolist() if not shown[j]),
         terms=tuple(terms.get(j, ()) for j in range(robot.n)),
         rms=np.zeros((len(logs), robot.n)),
+        curves={},
     )
-    return replace(found, rms=np.array([found.errors(each).std(axis=0) for each in logs]))
+    rms = np.array([found.errors(each).std(axis=0) for each in logs])
+    rms[:, np.isnan(found.compliance)] = np.nan
+    return replace(found.with_curves(logs[0]), rms=rms)
 
 
 def _measured(robot: RobotModel, logs: Sequence[Recording]) -> Indices:

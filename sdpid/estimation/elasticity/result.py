@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Indices
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Shown, Table, plain
-from sdpid.estimation.elasticity.signals import runs_of
+from sdpid.estimation.elasticity.signals import Run, runs_of
 from sdpid.estimation.elasticity.terms import DeflectionTerm
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.inspection.block_fit import BLOCKS
@@ -21,13 +21,15 @@ from sdpid.experiment.recording.recording import Recording
 
 # Level of all intervals.
 LEVEL = 0.95
+# Samples of curves.
+_POINTS = 2000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Elasticity(Shown):
     """Compliances of gears, and what else stands between the encoders of motors and links.
 
-    Arrays have an entry for each joint, NaN where there is one encoder only.
+    Arrays have an entry for each joint, NaN where there is one encoder only, but for rotors.
 
     Attributes
     ----------
@@ -51,6 +53,9 @@ class Elasticity(Shown):
         Further parts of the deflection of every joint.
     rms : ndarray, shape (R, n)
         What is not explained in each recording, rad (m), rms.
+    curves : dict of str to ndarray, shape (3, K)
+        By joint: torque, measured deflection without delay and offset, and predicted deflection
+        in some samples of the first recording.
     """
 
     estimate: Estimate
@@ -64,6 +69,7 @@ class Elasticity(Shown):
     conditional: tuple[str, ...]
     terms: tuple[tuple[DeflectionTerm, ...], ...]
     rms: Array
+    curves: dict[str, Array]
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -74,12 +80,37 @@ class Elasticity(Shown):
         return {"robot": self.estimate.problem.robot.name, "conditional": self.conditional}
 
     def _tables(self) -> Iterator[Table]:
+        yield self.table()
+
+    def table(self) -> Table:
+        """Return delay, stiffness and its interval, rotor inertia and further terms by joint."""
         low, high = self.interval.T.tolist()
         columns: dict[str, Any] = {"joint": self.joint_names, "delay, s": self.delay_s.tolist()}
         columns |= {"stiffness, N·m/rad": self.stiffness.tolist(), "from": low, "to": high}
         columns |= {"rotor inertia, kg·m²": self.rotor_inertia.tolist()}
         columns |= {"further terms": [", ".join(t.kind for t in each) for each in self.terms]}
-        yield Table.of_columns(columns)
+        return Table.of_columns(columns)
+
+    def in_words(self) -> str:
+        """Return the delay and every joint's stiffness in a line."""
+        late, reach = 1e3 * self.delay_s, 1e3 * student() * self.delay_error_s
+        told = np.flatnonzero(np.isfinite(late)).tolist()
+        some = told if len(set(late[told].tolist())) > 1 else told[:1]
+        delays = ", ".join(f"{late[j]:.3g} ± {reach[j]:.2g} ms" for j in some)
+        stiff = [j for j in told if np.isfinite(self.stiffness[j])]
+        names, ends = self.joint_names, self.interval.tolist()
+        parts = [f"links' encoders late by {delays}"]
+        if stiff:
+            each = (
+                f"{names[j]} {self.stiffness[j]:.3g} ({ends[j][0]:.3g} to {ends[j][1]:.3g})"
+                for j in stiff
+            )
+            parts.append(f"stiffness of {', '.join(each)} N·m/rad")
+        if soft := [names[j] for j in told if j not in stiff]:
+            parts.append(f"none told of {', '.join(soft)}")
+        if own := [names[j] for j in stiff if names[j] in self.conditional]:
+            parts.append(f"given the rotor inertia of {', '.join(own)}")
+        return "elasticity: " + "; ".join(parts)
 
     def deflection(self, log: Recording) -> Array:
         """Return how far motors are ahead of links, (N, n), as the encoders record it.
@@ -98,36 +129,49 @@ class Elasticity(Shown):
             samples alone between gaps.
         """
         found = np.full((log.n_samples, len(self.compliance)), np.nan)
-        for time, predicted, _ in self._parts(log):
-            half = 0.5 * (time[1] - time[0])
+        for run, late, _, own in self._parts(log):
+            time, half = run.time, 0.5 * (run.time[1] - run.time[0])
             rows = (log.time >= time[0] - half) & (log.time <= time[-1] + half)
-            for j, column in enumerate(predicted.T):
+            found[rows] = 0.0
+            for j, column in zip(self._joints.tolist(), (late + own).T, strict=True):
                 found[rows, j] = np.interp(log.time[rows], time, column)
         return found
 
     def errors(self, log: Recording) -> Array:
         """Return by how much links' positions are predicted wrong, (N, n), each mean taken off.
 
-        In uniform samples of the stretches without gaps.
+        In uniform samples of the stretches without gaps; zero for joints with one encoder.
         """
-        missed = np.concatenate(
-            [measured - predicted for _, predicted, measured in self._parts(log)]
-        )
-        return np.asarray(missed - missed.mean(axis=0))
+        parts = [run.difference - late - own for run, late, _, own in self._parts(log)]
+        missed = np.concatenate(parts)
+        found = np.zeros((len(missed), len(self.compliance)))
+        found[:, self._joints] = missed - missed.mean(axis=0)
+        return found
 
-    def _parts(self, log: Recording) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield times, predicted and measured differences of all joints in every stretch."""
-        joints = np.flatnonzero(np.isfinite(self.compliance))
+    def with_curves(self, log: Recording) -> Elasticity:
+        """Return it with the `curves` of a recording, of its longest stretch."""
+        run, late, torque, own = max(self._parts(log), key=lambda each: len(each[0].time))
+        measured = run.difference - late
+        both = np.stack([torque, measured - np.mean(measured - own, axis=0), own])
+        few = both[:, :: -(-both.shape[1] // _POINTS)]
+        names = [self.joint_names[j] for j in self._joints.tolist()]
+        return replace(self, curves={name: few[:, :, k] for k, name in enumerate(names)})
+
+    @property
+    def _joints(self) -> Indices:
+        """Joints with two encoders, (m,)."""
+        return np.flatnonzero(np.isfinite(self.compliance))
+
+    def _parts(self, log: Recording) -> Iterator[tuple[Run, Array, Array, Array]]:
+        """Yield stretches, their deflection by delay, torques, and deflection by these, (N, m)."""
+        joints = self._joints
         for run in runs_of(self.estimate, log, joints, self.rotor_inertia):
-            predicted, measured = np.zeros((2, len(run.link), len(self.compliance)))
             velocity, torque = run.late(self.delay_s[joints])
+            own = self.compliance[joints] * torque
             for k, j in enumerate(joints.tolist()):
-                predicted[:, j] = self.delay_s[j] * velocity[:, k]
-                predicted[:, j] += self.compliance[j] * torque[:, k]
                 for term in self.terms[j]:
-                    predicted[:, j] += term.columns(run.link[:, k], torque[:, k]) @ term.weights
-            measured[:, joints] = run.difference
-            yield run.time, predicted, measured
+                    own[:, k] += term.columns(run.link[:, k], torque[:, k]) @ term.weights
+            yield run, self.delay_s[joints] * velocity, torque, own
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; what cannot be told is None."""

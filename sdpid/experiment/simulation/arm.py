@@ -177,8 +177,8 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
     """
     n, names = len(terms.joint_names), terms.joint_names
     viscous, constant, load = np.zeros((n, n)), np.zeros(n), np.zeros((n, 4))
-    parabolas, kinds = np.zeros((n, 5)), {type(term) for term in terms.terms}
-    if {LoadFriction, PositionFriction} <= kinds:
+    parabolas = np.zeros((n, 5))
+    if {LoadFriction, PositionFriction} <= {type(term) for term in terms.terms}:
         raise ModelError(
             "simulation: friction of the load and over position together are not simulated; "
             "identify with one of them."

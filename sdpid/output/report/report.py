@@ -115,6 +115,7 @@ def report_html(
         constraints=states,
         certified=result.certificate.passed and problem.consistency != "none",
         exports=exports,
+        deflections=_deflections(result, charts),
         command=command,
         sha256=sha256,
         **joints.values(of, charts, line),
@@ -139,6 +140,18 @@ def _drives(drives: FittedDrives, charts: Charts) -> dict[str, Any]:
         "lines": [(joint, _COLORS[k % len(_COLORS)]) for k, joint in enumerate(joints)],
         "sharp": drives.sharp_table(),
     }
+
+
+def _deflections(result: Judged, charts: Charts) -> list[tuple[str, int]]:
+    """Return the joints with two encoders, and the charts of their deflection (mrad, mm)."""
+    curves = {} if result.elasticity is None else result.elasticity.curves
+    found = []
+    for name, (torque, measured, predicted) in curves.items():
+        order = np.argsort(torque)
+        values = {"x": torque[order], "predicted": 1e3 * predicted[order]}
+        held = charts.add(**values, at=torque, measured=1e3 * measured)
+        found.append((name, held))
+    return found
 
 
 def _beside(of: VerdictSubject) -> Iterator[dict[str, Any]]:

@@ -37,6 +37,7 @@ from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.assurance.recipe.recipe import Recipe
 from sdpid.errors import SdpidError
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.elasticity.result import Elasticity
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.positions.law_fit import FittedDrives
 from sdpid.estimation.problem import Problem
@@ -80,6 +81,7 @@ class Judged(ABC):
     intervals: Intervals | None = None
     cross_validation: Any | None = None
     rollouts: Sequence[Any] = ()
+    elasticity: Elasticity | None = None
     intervals_note: str | None = None
     bias: Any | None = None
     bias_note: str | None = None

@@ -14,6 +14,7 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid.assurance.diagnostics.described import Couplings
 from sdpid.errors import ExportError, ModelError
+from sdpid.estimation.elasticity.result import Elasticity
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.export_report import ExportReport, file_errors
 from sdpid.output.robots.joint_friction import Kind, added, crosswise, joint_attributes
@@ -59,6 +60,7 @@ def write_mjcf(
     offsets: bool = False,
     tendons: bool = False,
     steep: bool = True,
+    elasticity: Elasticity | None = None,
 ) -> ExportReport:
     """Write an MJCF with identified inertias, armature, damping and friction (extra ``sim``).
 
@@ -93,6 +95,9 @@ def write_mjcf(
         MJCF; else dry friction is constant.
     steep : bool, optional
         Whether dry friction is made steep, or is MuJoCo's by default, as fits of positions have it.
+    elasticity : Elasticity, optional
+        Of `identify_elasticity`: joints with a stiffness become two, that of the motor under the
+        old name, with its friction, armature and actuators, and ``<name>_gear`` behind it.
 
     Returns
     -------
@@ -166,6 +171,10 @@ def write_mjcf(
             "armature of the source that the identified links hold already, now zero: "
             + ", ".join(text.cleared),
         )
+    if elasticity is not None:
+        from sdpid.output.robots.elastic_gears import add_gears
+
+        notes += add_gears(text, elasticity)
     return text.save(target, friction, notes, errors)
 
 
@@ -327,10 +336,10 @@ class Mjcf(RobotText):
             if new:
                 text = {key: numbers(value) for key, value in new.items()}
                 how = self.dry if new.get("frictionloss") else {}
-                self._joint(name, carrier).attrib.update({**text, **how})
+                self.joint_element(name, carrier).attrib.update({**text, **how})
                 self.joints_changed.append(name)
 
-    def _joint(self, name: str, body: int) -> Any:
+    def joint_element(self, name: str, body: int) -> Any:
         """Return the element of a joint, which need not have a name."""
         elements = list(_own(self.elements[body], "joint"))
         if len(elements) == 1 and elements[0].get("name", name) == name:
@@ -350,7 +359,7 @@ class Mjcf(RobotText):
             elements.append(etree.Element("fixed", attributes))
             for joint, factor in zip(each.joints, each.factors, strict=True):
                 etree.SubElement(elements[-1], "joint", joint=joint, coef=numbers(factor))
-        self._append("tendon", elements)
+        self.append("tendon", elements)
 
     def write_bent(self, bent: Mapping[str, BentFriction]) -> None:
         """Write friction over position."""
@@ -360,7 +369,7 @@ class Mjcf(RobotText):
             child = self.elements[self.carriers[i - 1]]
             parent = child.getparent()
             elements += tendon_elements(self.robot, i, each, child, parent)
-        self._append("tendon", elements)
+        self.append("tendon", elements)
 
     def write_motors(self, motors: Mapping[str, Mapping[str, Any]]) -> None:
         """Write motors that move no joint alone as tendons, whose length is their position."""
@@ -384,14 +393,14 @@ class Mjcf(RobotText):
             given = in_lengths(motors.get(motor, {}), gear, float(shift))
             steep = STEEP if given.get("frictionloss") else {}
             tendon.attrib.update({key: numbers(value) for key, value in given.items()} | steep)
-        self._append("tendon", list(found))
+        self.append("tendon", list(found))
         if self.ours and robot.transmission is not None:
             drives = []
             for motor in robot.joint_names:
                 joint, factor = robot.seats().get(motor, ("", 1.0))
                 at = {"joint": joint, "gear": numbers(1.0 / factor)} if joint else {"tendon": motor}
                 drives.append(etree.Element("motor", name=motor, **at))
-            self._append("actuator", drives)
+            self.append("actuator", drives)
 
     def write_offsets(self, offsets: Mapping[str, float]) -> None:
         """Write constant efforts: what a drive gives beside them moves the joint."""
@@ -404,7 +413,7 @@ class Mjcf(RobotText):
             at = {"joint": joint} if joint else {"tendon": motor}
             bias = {"biastype": "affine", "biasprm": numbers([-value / factor, 0.0, 0.0])}
             elements.append(etree.Element("general", **at, gainprm="0", **bias))
-        self._append("actuator", elements)
+        self.append("actuator", elements)
 
     def constant(self, offsets: Mapping[str, float]) -> Array:
         """Return the constant efforts (joints,) of motors and joints on the coordinates."""
@@ -414,7 +423,7 @@ class Mjcf(RobotText):
             sum(value * way for value, way in zip(offsets.values(), ways, strict=True))
         )
 
-    def _append(self, name: str, elements: Sequence[Any]) -> None:
+    def append(self, name: str, elements: Sequence[Any]) -> None:
         """Write an element behind all others, if there is anything in it."""
         from lxml import etree
 
