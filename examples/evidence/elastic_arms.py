@@ -137,8 +137,8 @@ def run(study: Study, seed: int) -> Rows:
     log = simulated(links, stiffness, seed)
     rough = [each | {"mass": each["mass"] * rng.uniform(0.85, 1.15)} for each in links]
     robot = sdpid.load_robot(description(rough, None))
-    rigid = sdpid.identify(robot, log, intervals=False)
-    found = sdpid.identify_elasticity(rigid, log, rotor_inertia=ROTORS)
+    found = sdpid.identify(robot, log, intervals=False, rotor_inertia=ROTORS).elasticity
+    assert found is not None
     reach = 2.093 * found.delay_error_s[0]
     delay = found.delay_s[0]
     yield "delay, s", DELAY, delay, delay - reach, delay + reach

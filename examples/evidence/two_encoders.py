@@ -31,9 +31,9 @@ def main() -> None:
     robot = sdpid.load_robot(asked.train[0].parent / "kr300.urdf")
     logs = [sdpid.read_recording(path) for path in asked.train]
     limits = sdpid.Constraints(mass_max=MASS_MAX)
-    rigid = sdpid.identify(robot, logs, constraints=limits)
     rotors = np.array([*ROTORS, *[np.nan] * (robot.n - len(ROTORS))])
-    found = sdpid.identify_elasticity(rigid, logs, rotor_inertia=rotors)
+    found = sdpid.identify(robot, logs, constraints=limits, rotor_inertia=rotors).elasticity
+    assert found is not None
     missed = found.errors(sdpid.read_recording(asked.test))
     measured = np.flatnonzero(np.isfinite(found.compliance))
     plain = found.to_dict()

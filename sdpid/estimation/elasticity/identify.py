@@ -23,7 +23,7 @@ from sdpid.estimation.elasticity.signals import Run, pieces_of, runs_of
 from sdpid.estimation.elasticity.terms import DeflectionTerm, candidates
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import Posterior
-from sdpid.experiment.inspection.block_fit import BLOCKS, block_error
+from sdpid.experiment.inspection.block_fit import BLOCKS
 from sdpid.experiment.recording.joints import FOLLOWS, two_encoders
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
@@ -342,16 +342,23 @@ def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) ->
         sizes = np.array([table[:, -1].std() for table in tables])
         left = _missed(tables, model.split(best)).std(axis=0)
         weight = 1.0 / np.maximum(left, _EXACT * sizes)
-    scores = np.zeros((BLOCKS, places[-1]))
-    left = used**2 * _missed(tables, model.split(free))
-    for j, (unknowns, table) in enumerate(zip(of, tables, strict=True)):
-        each = np.array_split(table[:, :-1] * left[:, j, None], BLOCKS)
-        scores[:, unknowns] += [part.sum(axis=0) for part in each]
+    # How far the unknowns move without each block of time, in which errors may be alike.
     scale = np.linalg.norm(system[:, :-1], axis=0)
     scale[scale == 0.0] = 1.0
-    inverse = np.linalg.pinv((A := system[:, :-1] / scale).T @ A)
-    errors = block_error((scores / scale) @ inverse) / scale
-    return _Solution(best=best, free=free, errors=errors * np.sqrt(BLOCKS / (BLOCKS - 1.0)))
+    power, scores = np.zeros((BLOCKS, len(scale), len(scale))), np.zeros((BLOCKS, len(scale)))
+    left = used * _missed(tables, model.split(free))
+    for j, (unknowns, table) in enumerate(zip(of, tables, strict=True)):
+        columns = used[j] * table[:, :-1] / scale[unknowns]
+        blocks = zip(
+            np.array_split(columns, BLOCKS), np.array_split(left[:, j], BLOCKS), strict=True
+        )
+        for k, (own, missed) in enumerate(blocks):
+            power[k][np.ix_(unknowns, unknowns)] += own.T @ own
+            scores[k, unknowns] += own.T @ missed
+    rest = power.sum(axis=0) - power
+    moved = np.einsum("bij,bj->bi", np.linalg.pinv(rest, hermitian=True), scores)
+    errors = np.sqrt((1.0 - 1.0 / BLOCKS) * np.sum(moved**2, axis=0)) / scale
+    return _Solution(best=best, free=free, errors=errors)
 
 
 def _of_links(
