@@ -572,12 +572,35 @@ def transmissions() -> Any:
     return axes
 
 
+def two_encoders() -> Any:
+    """Draw the deflection of two gears over their torque."""
+    folder = RECORDS / "kr300"
+    logs = [sdpid.read_recording(folder / f"run_{run}.npz") for run in "AB"]
+    found = sdpid.identify(
+        folder / "kr300.urdf",
+        logs,
+        constraints=sdpid.Constraints(mass_max=1500.0),
+        rotor_inertia=[609.0, 844.0, 751.0, *[np.nan] * 3],
+    ).elasticity
+    assert found is not None
+    axes = panels(1, 2)
+    for axis, name in zip(axes.flat, ("joint_2", "joint_3"), strict=True):
+        torque, measured, predicted = found.curves[name]
+        axis.plot(1e-3 * torque, 1e3 * measured, ".", color=GRAY, markersize=4, label="measured")
+        axis.plot(1e-3 * torque, 1e3 * predicted, ".", color=RED, markersize=1, label="predicted")
+        stiffness = found.stiffness[found.joint_names.index(name)]
+        axis.set(xlabel="torque [kN·m]", ylabel="deflection [mrad]")
+        axis.set_title(f"{name}: {1e-6 * stiffness:.1f} MN·m/rad", fontsize=9)
+    axes[0, 0].legend(frameon=False, fontsize=8)
+    return axes
+
+
 PICTURES: dict[str, Callable[[], Any]] = {
     each.__name__: each
     for each in (
         *(audit, certificate, closed_loop, constraints, effects, estimation, excitation, exports),
         *(fleet, friction, gains, inspection, intervals, law, legged, lines, logs, loops, model),
-        *(payload, processing, recursive, rollout, sampling, springs, transmissions),
+        *(payload, processing, recursive, rollout, sampling, springs, transmissions, two_encoders),
     )
 }
 

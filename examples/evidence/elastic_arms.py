@@ -25,6 +25,8 @@ LATE = 12
 DELAY = LATE / (STEPS * RATE)
 # Noise of encoders, rad, and of efforts as a share of their rms.
 NOISE, EFFORT_NOISE = 3e-5, 5e-3
+# Dry friction as steep as MuJoCo has it.
+STEEP = 'solreffriction="0.002 1" solimpfriction="0.999 0.999 0.001"'
 ROTORS = (4.0, 5.0, 1.5)
 # Of the springs' natural damping.
 DAMPING = 0.01
@@ -47,7 +49,7 @@ def description(links: list[dict[str, Any]], stiffness: Array | None) -> str:
             continue
         text += (
             f'<body name="motor{k}" {place}><joint name="joint{k}" axis="{axis}" damping="6" '
-            f'frictionloss="4" armature="{ROTORS[k]}"/>'
+            f'frictionloss="4" armature="{ROTORS[k]}" {STEEP}/>'
             '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-9 1e-9 1e-9"/>'
         )
         spring = ""

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import sdpid
+from sdpid._common.tables import Table
 
 # Behind the gears of joints 1 to 3, kg·m²: those of the wrist are identified.
 ROTORS = (609.0, 844.0, 751.0)
@@ -26,6 +27,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--train", type=Path, action="append", required=True)
     parser.add_argument("--test", type=Path, required=True)
+    parser.add_argument("--out", type=Path, help="folder for two_encoders.csv")
     parser.add_argument("--json", action="store_true", help="one JSON object only")
     asked = parser.parse_args()
     robot = sdpid.load_robot(asked.train[0].parent / "kr300.urdf")
@@ -45,6 +47,20 @@ def main() -> None:
             None if plain["stiffness"][j] is None else plain["interval"][j] for j in measured
         ],
     }
+    if asked.out is not None:
+        ends = [end or (None, None) for end in result["interval"]]
+        table = Table.of_columns(
+            {
+                "joint": [found.joint_names[j] for j in measured],
+                "delay, ms": [result["delay_ms"]] * len(measured),
+                "missed on the test run, mrad": result["deflection_mrad"],
+                "stiffness, N·m/rad": result["stiffness"],
+                "from": [low for low, _ in ends],
+                "to": [high for _, high in ends],
+            }
+        )
+        asked.out.mkdir(parents=True, exist_ok=True)
+        table.write(asked.out / "two_encoders.csv")
     print(json.dumps(result) if asked.json else f"{found}\n{json.dumps(result, indent=2)}")
 
 

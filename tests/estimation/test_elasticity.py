@@ -90,7 +90,7 @@ WAYS = {
     "with gaps": (with_gaps, DELAY),
     "jittered": (jittered, DELAY),
     "wrapped": (wrapped, DELAY),
-    "in periods": (lambda: replace(log(1).rows(slice(0, 4000)), period=4.0), DELAY),
+    "in periods": (lambda: replace(log(1).rows(slice(0, 4000)), period=4.0, start=0.0), DELAY),
     "without noise": (lambda: log(1, noise=0.0), DELAY),
     "early": (lambda: log(1, late=-8e-3), -8e-3),
     "very late": (lambda: log(1, late=2e-2), 2e-2),
@@ -204,3 +204,19 @@ REFUSED = [
 @pytest.mark.parametrize(("call", "words"), REFUSED, ids=[words for _, words in REFUSED])
 def test_what_is_refused(call: object, words: str):
     refuses(DataError, words, call)  # type: ignore[arg-type]
+
+
+def test_joints_have_delays_of_their_own_where_recordings_ask_for_more():
+    def mixed(seed: int) -> sdpid.Recording:
+        one, other = log(seed), log(seed, late=6e-3)
+        columns = (np.asarray(one.link_position)[:, :1], np.asarray(other.link_position)[:, 1:])
+        return replace(one, link_position=np.hstack(columns))
+
+    one = sdpid.identify_elasticity(rigid(), [mixed(1), mixed(2)], ROTORS)
+    np.testing.assert_allclose(one.delay_s, [DELAY, 6e-3, 6e-3], atol=2e-5)
+    words = one.in_words()
+    assert words.startswith("elasticity: links' encoders late by 3 ± ")
+    assert "ms, 6 ± " in words
+    # From one recording a single delay is taken.
+    alone = sdpid.identify_elasticity(rigid(), mixed(1), ROTORS)
+    assert len({*alone.delay_s.tolist()}) == 1

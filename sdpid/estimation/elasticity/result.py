@@ -56,6 +56,16 @@ class Elasticity(Shown):
     curves : dict of str to ndarray, shape (3, K)
         By joint: torque, measured deflection without delay and offset, and predicted deflection
         in some samples of the first recording.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> links = log.position - 1e-6 * log.effort  # as if gears gave way
+    >>> found = sdpid.identify_elasticity(result, replace(log, link_position=links))
+    >>> print(found.in_words())
+    elasticity: links' encoders late by ... ms; stiffness of joint_2 1e+06 (...) N·m/rad; none...
+    >>> found.deflection(log).shape == log.position.shape
+    True
     """
 
     estimate: Estimate

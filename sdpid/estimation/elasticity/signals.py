@@ -18,10 +18,6 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
-# The cut-off is this share of that for efforts, ten times the frequency of most of the motion.
-# Noise of the motors' encoders is in the torques, by accelerations, and in the difference with the
-# other sign: at the whole cut-off a stiffness of simulated arms came out too large by 0.2 %.
-_SHARE = 0.4
 # Rows whose regressors are held at a time.
 _CHUNK = 20_000
 # Time constants of the filter in which it is off at the ends of a stretch.
@@ -88,9 +84,11 @@ def runs_of(
         default all are.
     """
     pieces = [each for each in pieces_of(estimate.problem.robot, log) if each.n_samples >= _LEAST]
-    cutoff_hz = (
-        _SHARE * default_processing(replace(log, period=None)).cutoff_hz if pieces else np.nan
-    )
+    if not pieces:
+        return []
+    # Periods, which are averaged elsewhere, are samples like others here.
+    plain = replace(log, period=None, start=None, periods=None)
+    cutoff_hz = default_processing(plain).cutoff_hz
     runs = [_run(estimate, piece, joints, rotors, cutoff_hz, stride) for piece in pieces]
     return [run for run in runs if len(run.time)]
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.elasticity.result import Elasticity
-from sdpid.output.robots.mjcf import Mjcf
 from sdpid.robot.description.mjcf import read_mjcf
 from sdpid.robot.description.xml import add_child, numbers
 
@@ -26,11 +27,12 @@ _TINY = {"pos": "0 0 0", "mass": "1e-9", "diaginertia": "1e-9 1e-9 1e-9"}
 _SAME_ROTOR = 1e-3
 
 
-def add_gears(text: Mjcf, elasticity: Elasticity) -> tuple[str, ...]:
+def add_gears(text: Any, elasticity: Elasticity) -> tuple[str, ...]:
     """Put a motor before the link of every joint with a stiffness, and return notes.
 
-    The motor's body has the joint, its name, friction, armature and actuators; the link's turns
-    against it by a joint with the stiffness, about the same axis.
+    The text is an `Mjcf` with all else written. The motor's body has the joint, its name, friction,
+    armature and actuators; the link's turns against it by a joint with the stiffness, about the
+    same axis.
 
     Raises
     ------

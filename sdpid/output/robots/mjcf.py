@@ -16,6 +16,7 @@ from sdpid.assurance.diagnostics.described import Couplings
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.elasticity.result import Elasticity
 from sdpid.estimation.estimate import Estimate
+from sdpid.output.robots.elastic_gears import add_gears
 from sdpid.output.robots.export_report import ExportReport, file_errors
 from sdpid.output.robots.joint_friction import Kind, added, crosswise, joint_attributes
 from sdpid.output.robots.mjcf_skeleton import (
@@ -172,8 +173,6 @@ def write_mjcf(
             + ", ".join(text.cleared),
         )
     if elasticity is not None:
-        from sdpid.output.robots.elastic_gears import add_gears
-
         notes += add_gears(text, elasticity)
     return text.save(target, friction, notes, errors)
 
