@@ -585,7 +585,7 @@ def two_encoders() -> Any:
     assert found is not None
     axes = panels(1, 2)
     for axis, name in zip(axes.flat, ("joint_2", "joint_3"), strict=True):
-        torque, measured, predicted = found.curves[name]
+        torque, measured, predicted = found.curves[name][:, ::2]
         axis.plot(1e-3 * torque, 1e3 * measured, ".", color=GRAY, markersize=4, label="measured")
         axis.plot(1e-3 * torque, 1e3 * predicted, ".", color=RED, markersize=1, label="predicted")
         stiffness = found.stiffness[found.joint_names.index(name)]
