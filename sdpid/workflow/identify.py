@@ -15,7 +15,7 @@ from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import certify
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, Remedy, hold_out
-from sdpid.assurance.diagnostics.provenance import collinear_friction, in_words
+from sdpid.assurance.diagnostics.provenance import collinear_friction, hidden_terms, in_words
 from sdpid.assurance.diagnostics.validation import Errors, validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
 from sdpid.assurance.recipe.inputs import input_files
@@ -85,6 +85,8 @@ _BETTER, _CLEARLY = 0.85, 0.9
 _LEAST_JOINTS = 3
 # Errors in place of none, N·m.
 _TINY = 1e-12
+# Less of a column beside all others leaves its parameter ten times as uncertain as alone.
+_HIDDEN = 0.1
 
 
 @one_thread
@@ -422,14 +424,22 @@ def _solved(
 
 
 def _of_springs(problem: Problem) -> list[str]:
-    """Return that springs of the description are held, if there are any."""
+    """Return which springs the motion hides, and that those of the description are held."""
+    notes = [
+        f"{name} of {joint} is hardly told from other parameters, such as gravity's, on this "
+        f"motion: {100.0 * share:.2g} % of its column is not in theirs; move {joint} further, or "
+        "in other poses"
+        for name, joint, share in hidden_terms(problem)
+        if share < _HIDDEN
+    ]
     kept = [each for each in problem.robot.springs if each in problem.friction.terms]
     joints = [str(getattr(each, "joint", "")) for each in kept]
     if not joints:
-        return []
+        return notes
     return [
+        *notes,
         f"springs of the description are held as they are there, at {listed(joints)}: give "
-        f"friction.Spring('{joints[0]}') among the terms to identify one"
+        f"friction.Spring('{joints[0]}') among the terms to identify one",
     ]
 
 

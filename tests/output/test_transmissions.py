@@ -281,3 +281,18 @@ def test_what_has_no_place_is_told(tmp_path: Path):
     report = sdpid.write_mjcf(slack, target=tmp_path / "b.xml")
     assert "no place for the spring of joint_4: its stiffness is zero" in report.describe()
     assert "behind a transmission" in described(WRIST)._repr_html_()
+
+
+def test_a_spring_that_the_motion_hides_is_named(tmp_path: Path):
+    file = tmp_path / "a.xml"
+    file.write_text(BENT.format("30"))
+    robot, (q, v, a) = sdpid.load_robot(file), motion(1, 20.0)
+    told = []
+    for size in (0.05, 3.0):
+        effort = in_mujoco(file, robot, size * q, size * v, size * a)
+        effort += 0.01 * np.random.default_rng(0).standard_normal(effort.shape)
+        log = sdpid.Recording(time=0.01 * np.arange(len(q)), position=size * q, effort=effort)
+        terms = ("viscous", Spring("a", rest=0.2))
+        found = sdpid.identify(robot, log, friction=terms, effects="none", intervals=False)
+        told.append(any("K1 of a is hardly told from" in each for each in found.notes))
+    assert told == [True, False]

@@ -41,6 +41,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import prior_rows
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling, congruent
+from sdpid.robot.friction.position import OneJoint
 
 # A scaled matrix is singular where an eigenvalue is at most this share of its largest, and a bound
 # or row is at its limit within this share of the parameters' size. Interior-point solutions come
@@ -239,6 +240,30 @@ def in_words(found: Sequence[CollinearTerms]) -> str | None:
         "combination of each pair is known, and the prior shares it between them: record speeds "
         "that vary more, in both directions"
     )
+
+
+def hidden_terms(problem: Problem) -> tuple[tuple[str, str, float], ...]:
+    """Return parameters of terms of one joint's position, and how much of them the motion shows.
+
+    That is the share of a column, weighted as in the fit, that is not in the span of all others;
+    zero where the parameter is no base parameter of its own. What is known is left out.
+    """
+    base, found = problem.base, list[tuple[str, str, float]]()
+    size = np.linalg.norm(problem.A, axis=0)
+    inverse = np.linalg.pinv(problem.A / np.where(size > 0.0, size, 1.0))
+    links = 10 * problem.robot.n_links
+    for term, own in problem.friction.placed:
+        if not isinstance(term, OneJoint):
+            continue
+        for k in range(own.start, own.stop):
+            parameter = problem.friction.parameters[k]
+            if parameter.value is not None:
+                continue
+            column = np.flatnonzero(base.kept == links + k)
+            alone = column.size > 0 and size[column[0]] > 0.0
+            share = float(1.0 / np.linalg.norm(inverse[column[0]])) if alone else 0.0
+            found.append((parameter.name, term.joint, share))
+    return tuple(found)
 
 
 def collinear_friction(problem: Problem) -> tuple[CollinearTerms, ...]:
