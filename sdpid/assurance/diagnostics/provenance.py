@@ -248,6 +248,8 @@ def hidden_terms(problem: Problem) -> tuple[tuple[str, str, float], ...]:
     That is the share of a column, weighted as in the fit, that is not in the span of all others;
     zero where the parameter is no base parameter of its own. What is known is left out.
     """
+    if not any(isinstance(term, OneJoint) for term in problem.friction.terms):
+        return ()
     base, found = problem.base, list[tuple[str, str, float]]()
     size = np.linalg.norm(problem.A, axis=0)
     inverse = np.linalg.pinv(problem.A / np.where(size > 0.0, size, 1.0))
