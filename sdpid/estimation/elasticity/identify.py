@@ -92,11 +92,16 @@ class _Model(NamedTuple):
 
 
 class _Solution(NamedTuple):
-    """Unknowns (k,): the best, those of no bounds, and the standard errors of these."""
+    """Unknowns (k,): the best, those of no bounds, and the standard errors of these.
+
+    `freedom` is how many blocks of time, less one, tell each as well as all do where some tell more
+    than others (Satterthwaite).
+    """
 
     best: Array
     free: Array
     errors: Array
+    freedom: Array
 
 
 def identify_elasticity(
@@ -171,7 +176,7 @@ def identify_elasticity(
     model = _chosen(groups)
     fit, m = _fit(groups, model), model.places[:-1]
     errors = np.hypot(fit.errors[m], _of_links(estimate, groups, fit.free[m], joints, identified))
-    low, high = fit.free[m] - (reach := student() * errors), fit.free[m] + reach
+    low, high = fit.free[m] - (reach := student(fit.freedom[m]) * errors), fit.free[m] + reach
 
     def of_all(values: Array) -> Array:
         """Return values of all joints, NaN where there is one encoder only."""
@@ -365,10 +370,14 @@ def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) ->
         for k, (own, missed) in enumerate(blocks):
             power[k][np.ix_(unknowns, unknowns)] += own.T @ own
             scores[k, unknowns] += own.T @ missed
-    rest = power.sum(axis=0) - power
+    whole = power.sum(axis=0)
+    inverse = np.linalg.pinv(whole, hermitian=True)
+    told = np.einsum("ki,bij,jk->bk", inverse, power, inverse)
+    freedom = np.maximum(told.sum(axis=0) ** 2 / np.sum(told**2, axis=0) - 1.0, 1.0)
+    rest = whole - power
     moved = np.einsum("bij,bj->bi", np.linalg.pinv(rest, hermitian=True), scores)
     errors = np.sqrt((1.0 - 1.0 / BLOCKS) * np.sum(moved**2, axis=0)) / scale
-    return _Solution(best=best, free=free, errors=errors)
+    return _Solution(best=best, free=free, errors=errors, freedom=freedom)
 
 
 def _of_links(

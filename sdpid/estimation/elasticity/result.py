@@ -207,8 +207,8 @@ class Elasticity(Shown):
         atomic_write_text(path, json.dumps(self.to_dict(), indent=2) + "\n")
 
 
-def student() -> float:
+def student(freedom: Array | float = BLOCKS - 1.0) -> Array:
     """Return how many standard errors an interval reaches to either side."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(BLOCKS - 1, 0.5 * (1.0 + LEVEL)))
+    return np.asarray(stdtrit(freedom, 0.5 * (1.0 + LEVEL)))
