@@ -76,8 +76,6 @@ def identify(given: Given) -> None:
         *(each for each in result.notes if each not in findings),
         *(each for each in (result.intervals_note, result.bias_note) if each),
     ]
-    if given.elastic and result.elasticity is None:
-        notes.append("no identified_elastic.xml: nothing was found of the elasticity of gears")
     exports: list[ExportReport] = []
     if config is not None:
         result = replace(result, inputs=(*result.inputs, file_entry("config", Source.of(config))))

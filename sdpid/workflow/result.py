@@ -221,9 +221,11 @@ def _robots(
             "steep": result.drives is None,
         }
         exports.append(write_mjcf(estimate, target=mjcf, **how))
-        if elastic and result.elasticity is not None:
-            target = folder / "identified_elastic.xml"
-            exports.append(write_mjcf(estimate, target=target, elasticity=result.elasticity, **how))
+        if elastic and result.elasticity is None:
+            note("no identified_elastic.xml: nothing was found of the elasticity of gears")
+        elif elastic:
+            mjcf = folder / "identified_elastic.xml"
+            exports.append(write_mjcf(estimate, target=mjcf, elasticity=result.elasticity, **how))
     except MissingExtraError:
         missing = f"mujoco is not installed ({installation('sim')})"
     except Exception as reason:
