@@ -24,7 +24,7 @@ from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import CLASSES, Coupling, term_to_dict
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -376,7 +376,8 @@ def friction_data(
 
 def _no_friction(term: FrictionTerm) -> bool:
     """Return whether a term of ours depends on positions, which the files' functions lack."""
-    return term.posed and type(term) in CLASSES.values() and not isinstance(term, LoadFriction)
+    written = isinstance(term, LoadFriction | PositionFriction)
+    return term.posed and type(term) in CLASSES.values() and not written
 
 
 def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
