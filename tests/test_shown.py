@@ -96,6 +96,9 @@ SHOWN: dict[str, Callable[[], Any]] = {
     "Imu": lambda: base().imu,
     "Limits": lambda: sdpid.Limits(velocity={f"{HOSTILE}{k}": 1.0 for k in range(99)}),
     "MotorSide": lambda: sdpid.MotorSide.from_gears(np.full(40, 100.0)),
+    "Transmission": lambda: sdpid.Transmission(
+        [[0.5, 0.5], [0.5, -0.5]], names=("a", HOSTILE), joints=(HOSTILE, "b")
+    ),
     "Prior": lambda: sdpid.Prior(bodies=np.ones((40, 10))),
     "Processing": lambda: sdpid.Processing.paper(),
     "Recording": log,
@@ -122,6 +125,9 @@ SHOWN: dict[str, Callable[[], Any]] = {
         robot(), currents(), known={robot().joint_names[0]: 10.0}, effects="none"
     ),
     "load": lambda: SavedRun.of(result()),
+    "identify_elasticity": lambda: sdpid.identify_elasticity(
+        result(), replace(log(), link_position=log().position - 1e-4 * log().effort)
+    ),
     "identify_payload": lambda: sdpid.identify_payload(robot(), *[problem().samples] * 2),
     "inspect_recording": lambda: sdpid.inspect_recording(log(), robot()),
     "load_robot": robot,

@@ -13,7 +13,7 @@ import tomllib
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen, real_array
-from sdpid._common.tables import plain_dict
+from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import ModelError
 from sdpid.robot.model.model import RobotModel
 
@@ -31,8 +31,8 @@ _KINDS: dict[str, tuple[int, float, float, float]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Transmission:
+@dataclass(frozen=True, eq=False, repr=False)
+class Transmission(Shown):
     """Positions of joints as linear functions of those of motors, ``q = matrix @ m + offset``.
 
     Efforts follow by the principle of virtual work: those of the motors are ``matrix.T`` times
@@ -106,6 +106,16 @@ class Transmission:
             ("joints", None if joints is None else tuple(joints)),
         ):
             object.__setattr__(self, name, value)
+
+    def _shown(self) -> dict[str, object]:
+        return {"motors": ", ".join(self.names or ()), "joints": len(self.matrix)}
+
+    def _tables(self) -> list[Table]:
+        count = range(1, len(self.matrix) + 1)
+        columns: dict[str, Any] = {"joint": list(self.joints or count)}
+        factors = zip(self.names or (), self.matrix.T.tolist(), strict=True)
+        shift = np.zeros(len(self.matrix)) if self.offset is None else self.offset
+        return [Table.of_columns({**columns, **dict(factors), "offset": shift.tolist()})]
 
     @classmethod
     def of(cls, given: Any) -> Transmission:
