@@ -74,19 +74,19 @@ def require_replaceable(path: PathLike) -> Path:
     return target
 
 
-def load_toml(path: PathLike) -> dict[str, Any]:
+def load_toml(path: PathLike, error: type[SdpidError] = DataError) -> dict[str, Any]:
     """Read a TOML file.
 
     Raises
     ------
-    DataError
+    SdpidError
         When the file cannot be read or is not TOML.
     """
-    content = read_regular(path)
+    content = read_regular(path, error=error)
     try:
         return dict(tomllib.loads(content.decode("utf-8")))
     except (ValueError, RecursionError) as cause:  # wrong, of endless digits, or nested endlessly
-        raise DataError(f"{path}: not a TOML file ({cause}).") from None
+        raise error(f"{path}: not a TOML file ({cause}).") from None
 
 
 @contextlib.contextmanager

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomllib
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.files import load_toml
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import ModelError
 from sdpid.robot.model.model import RobotModel
@@ -139,11 +138,7 @@ class Transmission(Shown):
             return given
         what = "transmission"
         if isinstance(given, str | os.PathLike):
-            what = str(given)
-            try:
-                given = tomllib.loads(Path(given).read_text(encoding="utf-8"))
-            except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as cause:
-                raise ModelError(f"{what}: {cause}.") from None
+            what, given = str(given), load_toml(given, ModelError)
         if isinstance(given, Mapping) and "matrix" in given:
             if unknown := sorted(map(str, given.keys() - {each.name for each in fields(cls)})):
                 raise ModelError(f"{what}: has {', '.join(unknown)}, which is not known.")
