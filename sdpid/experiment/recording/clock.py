@@ -9,6 +9,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.recording.recording import Recording, channels
+from sdpid.experiment.recording.stored import ROWS
 
 # Positions follow a speed that is their rate by steps of this correlation, over so many rows, in
 # which errors of the clock average out, and as far as this share.
@@ -66,11 +67,15 @@ def told_clock(log: Recording) -> Clock | None:
         return None
     if log.stamps.most > _REGULAR * log.step:
         return None
-    position, velocity = np.asarray(log.position), np.asarray(log.velocity)
-    repeated = np.r_[False, np.all(position[1:] == position[:-1], axis=1)]
+    # Block by block: comparing all of a recording that is larger than the memory takes an eighth.
+    repeated = np.zeros(log.n_samples, dtype=bool)
+    for begin in range(1, log.n_samples, ROWS):
+        part = np.asarray(log.position[begin - 1 : begin + ROWS])
+        repeated[begin : begin + ROWS] = (part[1:] == part[:-1]).all(axis=1)
     repeats = float(repeated.mean())
     if not _LEAST_REPEATS <= repeats < 0.5:
         return None
+    position, velocity = np.asarray(log.position), np.asarray(log.velocity)
     rows = np.flatnonzero(~repeated)
     steps = np.diff(position[rows], axis=0)
     speeds = 0.5 * (velocity[rows[1:]] + velocity[rows[:-1]])
