@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.robot.friction.position import play
 
 # Cycles a turn of a line that an encoder draws: fewer are positions, more lie between samples.
 _FEWEST, _MOST = 50.0, 5000.0
@@ -45,7 +46,7 @@ class DeflectionTerm:
             angle = self.numbers[0] * link
             return np.stack([np.cos(angle), np.sin(angle)], axis=1)
         if self.kind == "hysteresis":
-            return np.stack([_play(torque, slip) - torque for slip in self.numbers], axis=1)
+            return np.stack([play(torque, slip) - torque for slip in self.numbers], axis=1)
         middle, half = self.numbers
         return np.stack([((link - middle) / half) ** power for power in _POWERS], axis=1)
 
@@ -106,12 +107,3 @@ def _cycles(links: list[Array], left: list[Array]) -> float:
         return -float(np.abs(signal @ np.exp(-1j * cycles * q)) ** 2)
 
     return float(minimize_scalar(missed, bounds=(first - each, first + each), method="bounded").x)
-
-
-def _play(torque: Array, slip: float) -> Array:
-    """Return the torque that a spring behind a slider of dry friction follows, (N,)."""
-    followed, now = np.empty_like(torque), float(torque[0])
-    for k, value in enumerate(torque.tolist()):
-        now = min(max(now, value - slip), value + slip)
-        followed[k] = now
-    return followed
