@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.extras import require
-from sdpid._common.files import load_toml
+from sdpid._common.files import load_toml, read_regular
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.prepare import Logs, read_logs
 from sdpid.experiment.recording.joints import match_joints
@@ -19,6 +18,8 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.closed_loop import DesiredMotion
 from sdpid.experiment.simulation.controllers import PD
 from sdpid.experiment.trajectory.curve import SampledCurve
+from sdpid.robot.description.mjcf import compiled
+from sdpid.robot.description.xml import MAX_BYTES
 from sdpid.robot.model.model import RobotModel
 
 # Commands are steps that are held where this share of the rows in motion repeat the one before.
@@ -258,11 +259,7 @@ def _by_joint(file: str, name: str, stated: Any, robot: RobotModel) -> Any:
 
 def _of_actuators(path: Path) -> dict[str, Any]:
     """Return what position servos of an MJCF are: gains and limits by joint."""
-    mujoco = require("mujoco", extra="sim")
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as cause:
-        raise DataError(f"{path}: {cause}") from None
+    model = compiled(read_regular(path, MAX_BYTES).decode("utf-8", "replace"), path, str(path))
     found: dict[str, dict[str, float]] = {"kp": {}, "kd": {}, "limit": {}}
     for k in range(model.nu):
         gain, bias = model.actuator_gainprm[k], model.actuator_biasprm[k]
