@@ -322,7 +322,7 @@ class FittedDrives(Shown):
         else:
             values["Fs"] = self.reduced["friction"]
         names = problem.friction.parameters
-        found = [values[x.name.rstrip("0123456789")][x.joint] for x in names]
+        found = [values[x.symbol][x.joint] for x in names]
         theta = np.concatenate([self.convex.some_theta[:links], found])
         return Estimate.of_theta(
             problem,

@@ -31,7 +31,6 @@ from sdpid.estimation.posterior import prior_rows
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.term import TermParameter
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Kinds of drives by the symbols of the problem's friction terms.
@@ -49,16 +48,11 @@ def links_of(problem: Problem, theta: Array) -> RobotDynamics:
     )
 
 
-def symbol_of(parameter: TermParameter) -> str:
-    """Return the symbol of a parameter of friction, without the joint's number."""
-    return parameter.name.rstrip("0123456789")
-
-
 def drives_with(problem: Problem, theta: Array, drives: DriveNumbers) -> DriveNumbers:
     """Return drives with the friction of parameters, none of it negative."""
     values = drives.values.copy()
     for k, each in enumerate(problem.friction.parameters, 10 * problem.robot.n_links):
-        values[ROW[SYMBOLS[symbol_of(each)]], each.joint] = max(theta[k], 0.0)
+        values[ROW[SYMBOLS[each.symbol]], each.joint] = max(theta[k], 0.0)
     return replace(drives, values=values)
 
 
@@ -66,7 +60,7 @@ def theta_with(problem: Problem, theta: Array, drives: DriveNumbers) -> Array:
     """Return parameters with the friction of drives."""
     found = np.array(theta)
     for k, each in enumerate(problem.friction.parameters, 10 * problem.robot.n_links):
-        found[k] = drives[SYMBOLS[symbol_of(each)]][each.joint]
+        found[k] = drives[SYMBOLS[each.symbol]][each.joint]
     return found
 
 
@@ -209,7 +203,7 @@ class JointNormal:
         if held:
             moves = -inverse @ M[:, delay]
             moves[delay] = 1.0
-        kinds = [f"{SYMBOLS[symbol_of(each)]}{each.joint + 1}" for each in friction]
+        kinds = [f"{SYMBOLS[each.symbol]}{each.joint + 1}" for each in friction]
         places = {name: k for k, name in enumerate([*kinds, *names], links)}
         at = [places[name] for name in self.fit.unknowns.names]
         return found[np.ix_(at, at)], moves[at]

@@ -82,8 +82,7 @@ def nominal_theta(
         "Fv": np.maximum(viscous, _FRICTION * usual / speed),
     }
     tail = [
-        float(sizes[symbol][p.joint]) if (symbol := p.name.rstrip("0123456789")) in sizes else 0.0
-        for p in friction.parameters
+        float(sizes[p.symbol][p.joint]) if p.symbol in sizes else 0.0 for p in friction.parameters
     ]
     return frozen(np.concatenate([bodies.ravel(), tail])), notes
 

@@ -141,6 +141,11 @@ class TermParameter:
     deviation: float | None = None
     value: float | None = None
 
+    @property
+    def symbol(self) -> str:
+        """The name without the joint's number."""
+        return self.name.rstrip("0123456789")
+
 
 class EffortCurve(NamedTuple):
     """A part of a term's effort over the velocity, as a simulation takes it.
