@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from study import Study
 
 import sdpid
 from sdpid.estimation.positions.drives import DriveNumbers
-from sdpid.estimation.positions.rollout import LawRollout, Stiction
+from sdpid.estimation.positions.rollout import Followed, Stiction
 from sdpid.experiment.simulation.law import Told
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -90,12 +91,18 @@ def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recordin
     limit = np.full(n, np.inf)
     told = Told(command=command, feedforward=0.0 * command, limit=limit, held=True, note="")
     start = np.stack([command[0], np.zeros(n)])
-    how = {"step": STEP, "stiction": Stiction.mujoco()}
-    rollout = LawRollout(links, time, gaussian_filter1d(command, 0.02 * rate, axis=0), told, **how)
+    followed = Followed(
+        time=time,
+        position=gaussian_filter1d(command, 0.02 * rate, axis=0),
+        told=told,
+        step=STEP,
+        stiction=Stiction.mujoco(),
+    )
+    rollout = followed.rollout(links)
     # Links move along the commands at first, then along the motion itself.
     for _ in range(2):
         position = rollout.positions(rollout.run(drives, start))
-        rollout = LawRollout(links, time, position, told, **how)
+        rollout = replace(followed, position=position).rollout(links)
     position = rollout.positions(rollout.run(drives, start))
     position = position + noise * rng.standard_normal(position.shape)
     counts = 2.0 * np.pi / 2**16

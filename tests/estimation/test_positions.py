@@ -10,10 +10,10 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.positions.choose import CONSTANTS, Followed, choose_forward
+from sdpid.estimation.positions.choose import CONSTANTS, choose_forward
 from sdpid.estimation.positions.drives import UNITS, DriveNumbers
 from sdpid.estimation.positions.fit import fit_positions
-from sdpid.estimation.positions.rollout import Stiction
+from sdpid.estimation.positions.rollout import Followed, Stiction
 from sdpid.experiment.simulation.law import Told
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics

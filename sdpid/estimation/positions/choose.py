@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.positions.drives import LONGEST_DELAY, DriveNumbers
 from sdpid.estimation.positions.fit import (
@@ -17,8 +16,7 @@ from sdpid.estimation.positions.fit import (
     conditional,
     fit_positions,
 )
-from sdpid.estimation.positions.rollout import LawRollout, Stiction
-from sdpid.experiment.simulation.law import Told
+from sdpid.estimation.positions.rollout import Followed, LawRollout
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Kinds of numbers that are free, and those that are tried beside them, one after the other.
@@ -78,64 +76,27 @@ class ForwardChoice:
     correlation: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Followed:
-    """A log of positions and what its drives were told, for rollouts over parts of it.
+def split(log: Followed) -> tuple[list[slice], slice]:
+    """Return the slower rows, in one or two pieces, and the faster ones.
 
-    Attributes
-    ----------
-    time : ndarray, shape (N,)
-        Time stamps, s.
-    position : ndarray, shape (N, n)
-        Measured positions, rad (m).
-    told : Told
-        Commands, added efforts and limits.
-    step : float
-        Length of a step of the rollouts, s.
-    stiction : Stiction
-        How dry friction holds.
+    Raises
+    ------
+    DataError
+        When the log is too short to be judged by a part of it.
     """
-
-    time: Array
-    position: Array
-    told: Told
-    step: float
-    stiction: Stiction
-
-    def rollout(self, links: RobotDynamics, part: slice = slice(None)) -> LawRollout:
-        """Return a rollout over rows of the log."""
-        command, added = self.told.command[part], self.told.feedforward[part]
-        told = replace(self.told, command=command, feedforward=added)
-        return LawRollout(
-            links,
-            self.time[part],
-            self.position[part],
-            told,
-            step=self.step,
-            stiction=self.stiction,
+    N, duration = len(log.time), log.time[-1] - log.time[0]
+    width, least = int(_JUDGED * N), int(_LEAST_PART * ((N - 1) / duration))
+    if width < least:
+        raise DataError(
+            f"fit of positions: the log has {duration:.3g} s; friction and delay are chosen on a "
+            f"part of it, which needs {_LEAST_PART / _JUDGED:.2g} s."
         )
-
-    def split(self) -> tuple[list[slice], slice]:
-        """Return the slower rows, in one or two pieces, and the faster ones.
-
-        Raises
-        ------
-        DataError
-            When the log is too short to be judged by a part of it.
-        """
-        N, rate = len(self.time), (len(self.time) - 1) / (self.time[-1] - self.time[0])
-        width, least = int(_JUDGED * N), int(_LEAST_PART * rate)
-        if width < least:
-            raise DataError(
-                f"fit of positions: the log has {self.time[-1] - self.time[0]:.3g} s; friction and "
-                f"delay are chosen on a part of it, which needs {_LEAST_PART / _JUDGED:.2g} s."
-            )
-        speed = np.sum(np.diff(self.position, axis=0) ** 2, axis=1)
-        total = np.concatenate([[0.0], np.cumsum(speed)])
-        first = int(np.argmax(total[width:] - total[:-width]))
-        pieces = [slice(0, first), slice(first + width, N)]
-        kept = [each for each in pieces if each.stop - each.start >= least]
-        return kept, slice(first, first + width)
+    speed = np.sum(np.diff(log.position, axis=0) ** 2, axis=1)
+    total = np.concatenate([[0.0], np.cumsum(speed)])
+    first = int(np.argmax(total[width:] - total[:-width]))
+    pieces = [slice(0, first), slice(first + width, N)]
+    kept = [each for each in pieces if each.stop - each.start >= least]
+    return kept, slice(first, first + width)
 
 
 def choose_forward(
@@ -163,7 +124,7 @@ def choose_forward(
     """
     from scipy.interpolate import PchipInterpolator
 
-    parts = [each.split() for each in logs]
+    parts = [split(each) for each in logs]
     training = [
         log.rollout(links, x) for log, (slow, _) in zip(logs, parts, strict=True) for x in slow
     ]

@@ -17,7 +17,6 @@ from sdpid.estimation.positions.choose import (
     RICHER,
     ROUGH,
     WHITE,
-    Followed,
     ForwardChoice,
     choose_forward,
     judged,
@@ -37,7 +36,7 @@ from sdpid.estimation.positions.links import (
     theta_with,
     with_links,
 )
-from sdpid.estimation.positions.rollout import Stiction
+from sdpid.estimation.positions.rollout import Followed, Stiction
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples

@@ -232,7 +232,7 @@ def with_links(
     x, (low, high) = normal.unknowns.pack(fit.drives, fit.starts), normal.unknowns.bounds()
     for share in _SHARES if found.status == "optimal" else ():
         there = here + share * (found.some_theta - here)
-        own = [each.with_links(links_of(problem, there)) for each in rollouts]
+        own = [each.log.rollout(links_of(problem, there)) for each in rollouts]
         moved = np.clip(x + share * others, low, high)
         drives, starts = normal.unknowns.unpack(moved, fit.drives)
         drives = drives_with(problem, there, drives)

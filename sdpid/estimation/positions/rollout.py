@@ -10,7 +10,7 @@ of the equations says, is compared with the level of dry friction.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -72,42 +72,60 @@ class SolvedMotion:
     factors: tuple[BandFactor, ...]
 
 
-class LawRollout:
-    """One stretch of a log, to be followed by a robot with known links.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Followed:
+    """A log of positions and what its drives were told, for rollouts over parts of it.
 
-    Parameters
+    Attributes
     ----------
-    links : RobotDynamics
-        The robot and the inertia of its links; friction terms must be none.
     time : ndarray, shape (N,)
         Time stamps, s.
-    measured : ndarray, shape (N, n)
-        Positions.
-    commands : Told
-        What the drives were told.
+    position : ndarray, shape (N, n)
+        Measured positions, rad (m).
+    told : Told
+        Commands, added efforts and limits.
     step : float
         Length of a step, s: velocities are updated first, then positions by the new velocities.
     stiction : Stiction
         How dry friction holds.
     """
 
-    def __init__(
-        self,
-        links: RobotDynamics,
-        time: Array,
-        measured: Array,
-        commands: Told,
-        *,
-        step: float,
-        stiction: Stiction,
-    ) -> None:
-        self.links, self.measured, self.step, self.stiction = links, measured, step, stiction
-        self.commands, self._time = commands, time - time[0]
+    time: Array
+    position: Array
+    told: Told
+    step: float
+    stiction: Stiction
+
+    def rollout(self, links: RobotDynamics, part: slice = slice(None)) -> LawRollout:
+        """Return a rollout over rows of the log."""
+        command, added = self.told.command[part], self.told.feedforward[part]
+        told = replace(self.told, command=command, feedforward=added)
+        rows = replace(self, time=self.time[part], position=self.position[part], told=told)
+        return LawRollout(links, rows)
+
+
+class LawRollout:
+    """A log, or a stretch of it, to be followed by a robot with known links.
+
+    Parameters
+    ----------
+    links : RobotDynamics
+        The robot and the inertia of its links; friction terms must be none.
+    log : Followed
+        The log.
+    """
+
+    def __init__(self, links: RobotDynamics, log: Followed) -> None:
+        self.links, self.log, self.measured, self.step = links, log, log.position, log.step
+        self._time, step = log.time - log.time[0], log.step
         self.count = int(np.floor(self._time[-1] / step + 1e-9))
         self._grid = step * np.arange(self.count + 1)
-        n = measured.shape[1]
         self._guess = np.stack(
-            [np.interp(self._grid, self._time, measured[:, j]) for j in range(n)], axis=1
+            [np.interp(self._grid, self._time, column) for column in log.position.T], axis=1
+        )
+        self._commands, self._added = (
+            _integral(self._time, values, held=log.told.held)
+            for values in (log.told.command, log.told.feedforward)
         )
         smooth = self._smooth()
         slopes = inverse_dynamics_slopes(links, *smooth)
@@ -118,7 +136,7 @@ class LawRollout:
             for joints in self._components
         ]
         # The reference pose of an MJCF is that of zero positions.
-        self._resting = links.mass_matrix(np.zeros(n))
+        self._resting = links.mass_matrix(np.zeros(log.position.shape[1]))
 
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, drives: DriveNumbers, start: Array, guess: Array | None = None) -> SolvedMotion:
@@ -128,7 +146,7 @@ class LawRollout:
         command, feedforward = self.told(drives.delay)
         armature, damping, kp, kd = (drives[k] for k in ("armature", "damping", "kp", "kd"))
         weight = 1.0 / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
-        stiff = self.stiction.stiffness * weight
+        stiff = self.log.stiction.stiffness * weight
         mobility = np.empty((self.count, n))
         blocks = []
         for joints, (by_position, by_velocity, masses) in zip(
@@ -139,7 +157,7 @@ class LawRollout:
             inverse = np.linalg.inv(masses + h * damping[joints] * E)
             mobility[:, joints] = np.einsum("kii->ki", inverse)
             undamped = np.broadcast_to(E, masses.shape)
-            if self.stiction.early:
+            if self.log.stiction.early:
                 undamped = E + h * np.linalg.inv(masses) * damping[joints]
             blocks.append((joints, by_position, by_velocity, masses, undamped, E))
         size = np.inf
@@ -150,12 +168,12 @@ class LawRollout:
             here, speed = q[:-1], v[:-1]
             error = command - here
             effort = kp * error - kd * speed + feedforward
-            free = np.abs(effort) <= self.commands.limit
-            effort = np.clip(effort, -self.commands.limit, self.commands.limit)
+            free = np.abs(effort) <= self.log.told.limit
+            effort = np.clip(effort, -self.log.told.limit, self.log.told.limit)
             rest = self.links.inverse_dynamics(here, speed, a)
             rest += armature * a + damping * v[1:] + drives["offset"] - effort
             # The force that would hold a joint, were its row alone: it decides whether it sticks.
-            sticking = self.stiction.rate * speed
+            sticking = self.log.stiction.rate * speed
             for joints, *_, undamped, _ in blocks:
                 sticking[:, joints] += np.einsum("kij,kj->ki", undamped, a[:, joints])
             sticking *= stiff
@@ -167,7 +185,7 @@ class LawRollout:
             z = here - drives.middle
             hold = sticks * stiff
             leaning = side * (level > 0.0) * (drives["slope"] + 2.0 * z * drives["curve"])
-            by_speed, by_place = hold * self.stiction.rate + free * kd, leaning + free * kp
+            by_speed, by_place = hold * self.log.stiction.rate + free * kd, leaning + free * kp
             factors, earlier = [], []
             move = np.empty_like(rest)
             for joints, by_position, by_velocity, masses, undamped, E in blocks:
@@ -199,17 +217,6 @@ class LawRollout:
     def positions(self, motion: SolvedMotion) -> Array:
         """Return the motion's positions at the log's time stamps, (N, n)."""
         return self._at_stamps(motion.position)
-
-    def with_links(self, links: RobotDynamics) -> LawRollout:
-        """Return the same stretch for other links."""
-        return LawRollout(
-            links,
-            self._time,
-            self.measured,
-            self.commands,
-            step=self.step,
-            stiction=self.stiction,
-        )
 
     def columns(
         self,
@@ -293,18 +300,13 @@ class LawRollout:
         # Simulators hold what is told at the start of a step: the mean about that instant, since a
         # fit needs something smooth in the delay.
         edges = np.asarray(self._grid - delay - 0.5 * self.step)
-        command, added = (
-            _integral(self._time, values, held=self.commands.held)
-            for values in (self.commands.command, self.commands.feedforward)
-        )
         if derivative:
             # Over as long as the steps: what is held between commands changes in jumps.
             h = 0.25 * self.step
-            parts = [np.diff(command(edges + x), axis=0) / self.step for x in (-h, h)]
+            parts = [np.diff(self._commands(edges + x), axis=0) / self.step for x in (-h, h)]
             return (parts[0] - parts[1]) / (2.0 * h), np.zeros((0, 0))
-        return np.diff(command(edges), axis=0) / self.step, np.diff(
-            added(edges), axis=0
-        ) / self.step
+        command, added = (np.diff(at(edges), axis=0) for at in (self._commands, self._added))
+        return command / self.step, added / self.step
 
     def _smooth(self) -> tuple[Array, Array, Array]:
         """Return smooth positions, velocities and accelerations, (K, n) each."""
