@@ -46,9 +46,10 @@ from sdpid.experiment.simulation.law import Told, with_efforts_of_law
 from sdpid.robot.friction.posed import PositionFriction
 from sdpid.robot.model.model import RobotModel
 
-# Where a model is used: what its friction may be, and its integrator's step, s.
+# Where a model is used: what its friction may be.
 Target = Literal["mujoco", "isaac", "urdf"]
-STEPS: dict[Target, float] = {"mujoco": 0.002, "isaac": 0.002, "urdf": 0.002}
+# The step (s) of the targets' integrators, by which motions are solved.
+STEP = 0.002
 
 # Two-sided 95 % of a normal distribution.
 _NORMAL = 1.959964
@@ -94,9 +95,9 @@ class FittedDrives(Shown):
     joint_names : tuple of str
         The joints.
     rich : DriveNumbers
-        DriveNumbers with the friction that the data ask for.
+        Drives with the friction that the data ask for.
     reduced : DriveNumbers
-        DriveNumbers with constants: what every simulator can hold.
+        Drives with constants: what every simulator can hold.
     choice : ForwardChoice
         How kinds of friction and the delay were chosen.
     starts : tuple of float
@@ -445,7 +446,7 @@ def fit_law(
                 time=np.array(log.time),
                 position=np.array(log.position),
                 told=Told.of(log, law),
-                step=STEPS[target],
+                step=STEP,
                 stiction=stiction,
             )
             for log in several

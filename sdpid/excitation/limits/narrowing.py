@@ -239,7 +239,7 @@ class Narrowing:
 
     def _values(self, kind: str) -> Array:
         """Return the given values (n,) of a kind, NaN where none is given."""
-        values = self.given[kind]
+        values: Any = self.given[kind]
         if isinstance(values, Mapping):
             unknown = [name for name in values if name not in self._names and name != OTHERS]
             if unknown:
@@ -251,7 +251,7 @@ class Narrowing:
         elif values is None or is_number(values):
             each = [values] * self._n
         else:
-            each = list(values)  # type: ignore[arg-type]
+            each = list(values)
         if len(each) != self._n:
             raise DataError(
                 f"limits: {kind} has {len(each)} values, '{self.robot.name}' has {self._n} "

@@ -95,11 +95,11 @@ class Told:
         if self.held:
             row = np.clip(np.searchsorted(time, when + 1e-9, side="right") - 1, 0, len(time) - 1)
             return self.command[row], self.feedforward[row]
-        columns = range(self.command.shape[1])
-        return tuple(  # type: ignore[return-value]
-            np.stack([np.interp(when, time, each[:, j]) for j in columns], axis=1)
+        command, added = (
+            np.stack([np.interp(when, time, column) for column in each.T], axis=1)
             for each in (self.command, self.feedforward)
         )
+        return command, added
 
 
 def with_efforts_of_law(log: Recording, law: PD, delay: float) -> Recording:

@@ -11,10 +11,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
 from sdpid.estimation.positions.drives import UNITS
-from sdpid.estimation.positions.law_fit import STEPS, FittedDrives
+from sdpid.estimation.positions.law_fit import STEP, FittedDrives
 
 # Friction over the position is f0 + f1·(q − middle) + f2·(q − middle)².
 OVER_POSITION = {"f0": "friction", "f1": "slope", "f2": "curve"}
@@ -24,11 +26,11 @@ _BAM = "drives_bam.json: without kt and R of a motor, which no log under a law i
 
 def _numbers(fit: FittedDrives) -> dict[str, dict[str, float]]:
     """Return the numbers of each joint, with constants; the limit where there is one."""
-    reduced, limit = fit.reduced, fit.law.limit
-    kinds = ("kp", "kd", "armature", "damping", "friction")
+    kinds = {name: fit.reduced[name] for name in ("kp", "kd", "armature", "damping", "friction")}
+    if fit.law.limit is not None:
+        kinds["limit"] = np.asarray(fit.law.limit)
     return {
-        joint: {kind: float(reduced[kind][j]) for kind in kinds}
-        | ({} if limit is None else {"limit": float(limit[j])})  # type: ignore[index]
+        joint: {name: float(values[j]) for name, values in kinds.items()}
         for j, joint in enumerate(fit.joint_names)
     }
 
@@ -48,7 +50,7 @@ def _head(fit: FittedDrives, about: str, names: str) -> list[str]:
         "",
         f"from {names}",
         "",
-        f"PHYSICS_STEP = {STEPS[fit.target]!r}  # s: that of your simulation",
+        f"PHYSICS_STEP = {STEP!r}  # s: that of your simulation",
         f"# {fit.delay_in_words}",
         f"DELAY = {fit.delay!r}  # s, from a command to its effort",
         "DELAY_STEPS = round(DELAY / PHYSICS_STEP)",

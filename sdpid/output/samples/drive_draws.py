@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,4 +140,5 @@ def write_drive_draws(fit: FittedDrives, path: Path, mjcf: Path) -> None:
 
         found = [each.get("name") for each in etree.parse(mjcf).iterfind("worldbody//joint")]
         joints = [name for name in found if name in fit.joint_names]
-    np.savez(path, **draw_drives(fit, joints=joints))  # type: ignore[arg-type]
+    arrays: dict[str, Any] = {**draw_drives(fit, joints=joints)}
+    np.savez(path, **arrays)

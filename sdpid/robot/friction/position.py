@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -39,9 +40,9 @@ class OneJoint(FrictionTerm):
             for symbol, unit, nonnegative in self._symbols()
         )
 
+    @abstractmethod
     def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
         """Return symbol, unit and whether it is not negative of every parameter."""
-        raise NotImplementedError
 
     def _known(self, symbol: str) -> float | None:
         """Return the value of a parameter that is known."""
@@ -63,9 +64,9 @@ class OneJoint(FrictionTerm):
             )
         return np.asarray(motion.along(shapes)[:, None, :] * way[:, None])
 
+    @abstractmethod
     def _shapes(self, position: Array) -> Array:
         """Return the efforts (K, parameters) of parameters of one at positions (K,) in time."""
-        raise NotImplementedError
 
 
 def direction(what: str, joint: str, robot: Any, joint_names: Sequence[str]) -> tuple[Array, float]:

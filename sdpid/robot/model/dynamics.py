@@ -413,7 +413,7 @@ class RobotDynamics:
         return any(isinstance(term, LoadFriction) for term in self.terms.terms)
 
     def _effort_of_posed(
-        self, q: ArrayLike, v: Array, a: Array, *, kind: type[FrictionTerm] = FrictionTerm
+        self, q: ArrayLike, v: Array, a: Array, *, kind: type[Any] = FrictionTerm
     ) -> Array:
         """Return the effort (K, n) of the terms of a kind that depend on the position."""
         position = np.atleast_2d(np.asarray(q, dtype=np.float64))
