@@ -40,7 +40,7 @@ from sdpid.experiment.preparation.prepare import Logs, Prepared, ProcessingOf, r
 from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.simulation.controllers import PD
-from sdpid.experiment.simulation.law import USUAL_DELAY, with_efforts_of_law
+from sdpid.experiment.simulation.law import USUAL_DELAY, require_law, with_efforts_of_law
 from sdpid.output.report.kinds import listed
 from sdpid.output.robots.export_report import given_up
 from sdpid.robot.friction.term import FrictionTerm
@@ -308,8 +308,7 @@ def _under_law(
 ) -> Identification:
     """Return the convex fit to the law's efforts, and the drives that positions show."""
     model, logs = read_logs(robot, log)
-    if not isinstance(law, PD):
-        raise DataError(f"law: is {law!r:.80}; give sdpid.controllers.PD(kp=..., kd=...).")
+    require_law(law)
     if model.free_flyer:
         raise DataError(
             f"law: the base of '{model.name}' floats in this log; rollouts need a base that is "

@@ -173,6 +173,19 @@ class CommandedMotion(DesiredMotion):
         return found
 
 
+def require_law(law: Any) -> PD:
+    """Return a law that is one.
+
+    Raises
+    ------
+    DataError
+        When it is none.
+    """
+    if not isinstance(law, PD):
+        raise DataError(f"law: is {law!r:.80}; give sdpid.controllers.PD(kp=..., kd=...).")
+    return law
+
+
 def under_law(
     robot: RobotModel, given: Logs, law: Any, purpose: str, delay: float | None = None
 ) -> tuple[PD, tuple[Recording, ...]]:
@@ -196,8 +209,7 @@ def under_law(
     DataError
         When it is no law, a number is missing, or a recording has no commanded positions.
     """
-    if not isinstance(law, PD):
-        raise DataError(f"law: is {law!r:.80}; give sdpid.controllers.PD(kp=..., kd=...).")
+    law = require_law(law)
     acts = delay if law.delay is None else float(law.delay)
     if law.kp is None or acts is None:
         raise DataError(
