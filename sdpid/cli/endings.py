@@ -27,6 +27,7 @@ _OPTIONS = {
     "mapping": "--mapping FILE (none: ignore the one beside the log)",
     "topic": "--topic NAME",
     "missing": "--missing drop|interpolate",
+    "without_effort": "--without-effort A,B,...",
     "accept": "--accept KIND",
 }
 

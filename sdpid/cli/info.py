@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sdpid.cli.commands import command
-from sdpid.cli.logs import LOG, PERIODS, READING, periods, reading
+from sdpid.cli.logs import LOG, PERIODS, READING, WITHOUT_EFFORT, periods, reading
 from sdpid.cli.options import Given
 from sdpid.cli.printing import listed
 
@@ -12,21 +12,26 @@ from sdpid.cli.printing import listed
     LOG,
     READING,
     PERIODS,
+    WITHOUT_EFFORT,
     {"--robot ROBOT": "Robot to compare with: URDF or MJCF file, or name."},
 )
 def info(given: Given) -> None:
     """Show what was understood of a log, and what is wrong with it."""
     from sdpid._common.tables import Table
     from sdpid.experiment.preparation.overview import overview
+    from sdpid.experiment.preparation.prepare import columns_without
     from sdpid.experiment.readers.read import read_described
     from sdpid.experiment.recording.joints import robot_of
 
-    log = read_described(given.log, **reading(given), **periods(given))
+    joints = tuple(given.without_effort or ())
+    # Only a robot knows the numbers of joints, for logs without names.
+    absent = joints if given.robot is None else columns_without(given.robot, joints)
+    log = read_described(given.log, without_effort=absent, **reading(given), **periods(given))
     model = None if given.robot is None else robot_of(given.robot, [log.recording])
-    facts = overview(log.recording, model)
+    facts = overview(log.recording, model, without_effort=joints)
     source = {"file": log.file, "mapping": log.mapping, "read_from": log.sources}
     content = {**source, **facts}
-    joints, findings = facts.pop("joints"), facts.pop("findings")
+    rows, findings = facts.pop("joints"), facts.pop("findings")
     chosen = (facts["processing"] or {}).items()
     facts["processing"] = ", ".join(f"{key.replace('_', ' ')} {_text(it)}" for key, it in chosen)
     shown = {"file": log.file, "mapping": log.mapping, **facts}
@@ -39,7 +44,7 @@ def info(given: Given) -> None:
         content,
         "\n".join(f"{key.replace('_', ' '):{width}}  {_text(each)}" for key, each in shown.items()),
         listed("read from", (f"{key}: {each}" for key, each in log.sources.items())),
-        Table(tuple(joints[0]), tuple(tuple(joint.values()) for joint in joints)).text(),
+        Table(tuple(rows[0]), tuple(tuple(row.values()) for row in rows)).text(),
         listed("findings", (f"{it['severity']} {it['kind']}: {it['text']}" for it in findings))
         or none,
     )

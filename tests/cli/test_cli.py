@@ -396,6 +396,18 @@ def test_samples_without_a_value(tmp_path: Path) -> None:
     assert facts["read_from"]["missing values"] == f"1 of {len(lines) - 1} samples dropped"
 
 
+def test_info_of_logs_without_efforts(tmp_path: Path) -> None:
+    rows = [f"{0.01 * k},{np.sin(0.02 * k)},{np.cos(0.03 * k)}" for k in range(500)]
+    log = tmp_path / "encoders.csv"
+    log.write_text("\n".join(["time,position_a,position_b", *rows]))
+    found = told("info", log, "--without-effort", "a,b")
+    assert [(joint["joint"], joint["effort_rms"]) for joint in found["joints"]] == [
+        ("a", None),
+        ("b", None),
+    ]
+    assert not [each for each in found["findings"] if "effort" in each["kind"]]
+
+
 def test_a_topic_of_a_bag(tmp_path: Path) -> None:
     t = 0.01 * np.arange(50)
     table = np.random.default_rng(1).standard_normal((50, 2))

@@ -94,6 +94,7 @@ def _states() -> int:
         ({"load": 0.99}, "load: is 0.99; give more than 0 and at most 0.9"),
         ({"starts": 0}, "starts: is 0"),
         ({"steps": 0}, "steps: is 0; give at least 1"),
+        ({"previous": "x"}, "previous: is or holds 'x'; give what design_standing returned"),
         ({"standing": [np.nan] * 12}, "standing: the angle of 'FL_HAA' is nan; give finite ones"),
         ({"standing": [0.0] * 12}, "the leg of 'FL_FOOT' is straight: .* bend its knee"),
         (

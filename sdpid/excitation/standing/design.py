@@ -6,10 +6,12 @@ import os
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, generator
+from sdpid.errors import DataError
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.noise import Given
 from sdpid.excitation.design.loop import designed
@@ -134,7 +136,7 @@ def design_standing(
     if not isinstance(robot, RobotModel):
         robot = load_robot(robot, root="free_flyer")
     given |= {"robot": robot, "friction": FRICTION if friction is None else tuple(friction)}
-    given["previous"] = (previous,) if isinstance(previous, StandingPlan) else tuple(previous)
+    given["previous"] = _plans(previous)
     began, kept = time.monotonic(), 0.0
     task = StandingTask.of(StandingRequest(**given))
     search = task.search
@@ -177,6 +179,20 @@ def design_standing(
         notes=tuple(notes),
         settings=settings_of(given, robot=robot.name, prior=None, previous=None, progress=None),
     )
+
+
+def _plans(previous: Any) -> tuple[StandingPlan, ...]:
+    """Return earlier plans as a tuple; None is none."""
+    plans = previous if isinstance(previous, list | tuple) else (previous,)
+    if previous is None:
+        return ()
+    for each in plans:
+        if not isinstance(each, StandingPlan):
+            raise DataError(
+                f"previous: is or holds {each!r:.80}; give what design_standing returned, one "
+                "plan or several."
+            )
+    return tuple(plans)
 
 
 def _deviations(information: Array) -> Array:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.inspect import inspect_recording
+from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.inspection.kinds import found
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.processing.choose import default_processing
@@ -20,7 +21,9 @@ from sdpid.robot.model.model import RobotModel
 _GAP = 1.5
 
 
-def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str, Any]:
+def overview(
+    recording: Recording, robot: RobotModel | None = None, *, without_effort: Collection[str] = ()
+) -> dict[str, Any]:
     """Describe a recording, and compare it with a robot.
 
     Parameters
@@ -29,6 +32,8 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         What was measured.
     robot : RobotModel, optional
         Whose joints these are.
+    without_effort : collection of str, optional
+        Joints whose effort is not looked at.
 
     Returns
     -------
@@ -36,10 +41,10 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         Plain values for JSON: sizes, times (s), the processing chosen by default and why,
         ``joints`` with a range each (rad, rad/s, N.m), the standard deviation of its noise, and
         the frequencies (Hz) at which it mostly moves and below which 95 % of the motion lies; and
-        ``findings`` (see `inspect_recording`). Missing is None.
+        ``findings`` (see `inspect_recordings`). Missing is None.
     """
     matched = Subject.of(recording, robot).log
-    findings = list(inspect_recording(recording, robot).findings)
+    findings = list(inspect_recordings([recording], robot, without_effort=without_effort))
     processing, reasons = None, None
     try:
         chosen = default_processing(matched)
@@ -64,15 +69,16 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         "start_s": matched.start,
         "processing": processing,
         "processing_chosen_for": reasons,
-        "joints": _joints(matched),
+        "joints": _joints(matched, without_effort),
         "findings": [finding.to_dict() for finding in findings],
     }
 
 
-def _joints(recording: Recording) -> list[dict[str, Any]]:
+def _joints(recording: Recording, without_effort: Collection[str]) -> list[dict[str, Any]]:
     """Return the range of every joint."""
     position, velocity = recording.position, recording.velocity
     effort = recording.effort
+    known = [name not in without_effort for name in recording.names]
     motion = joint_frequencies(recording)
     return [
         {
@@ -80,10 +86,10 @@ def _joints(recording: Recording) -> list[dict[str, Any]]:
             "position_min": float(position[:, j].min()),
             "position_max": float(position[:, j].max()),
             "speed_max": None if velocity is None else float(np.abs(velocity[:, j]).max()),
-            "effort_rms": float(np.sqrt(np.mean(effort[:, j] ** 2))),
-            "effort_max": float(np.abs(effort[:, j]).max()),
+            "effort_rms": float(np.sqrt(np.mean(effort[:, j] ** 2))) if known[j] else None,
+            "effort_max": float(np.abs(effort[:, j]).max()) if known[j] else None,
             "position_noise": white_noise(position[:, j]),
-            "effort_noise": white_noise(effort[:, j]),
+            "effort_noise": white_noise(effort[:, j]) if known[j] else None,
             "motion_hz": None if moves is None else moves[0],
             "bandwidth_hz": None if moves is None else moves[1],
         }

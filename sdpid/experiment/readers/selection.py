@@ -100,7 +100,10 @@ def select(file: Path, table: LogTable, how: Arguments) -> Selection:
         elif not _add(log, found, quantity, joints) and quantity == "position":
             raise log.missing(quantity)
     if not {"effort", "reference"} & found.tables.keys():
-        raise log.missing("effort")
+        if not how.without_effort:
+            raise log.missing("effort")
+        # No value of any joint: those that are named need none.
+        found.tables["effort"] = np.full(found.tables["position"].shape, np.nan)
     _align(found, CHANNELS)
     found.names = found.labels.get("position")
     if found.names is None or all(name.isdigit() for name in found.names):
