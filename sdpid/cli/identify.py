@@ -42,6 +42,8 @@ if TYPE_CHECKING:
         "(nan where unknown), for the stiffness of gears where logs have positions of links.",
         "--elastic/--no-elastic = off": "Write identified_elastic.xml too: springs between motors "
         "and links.",
+        "--bare/--no-bare = off": "Leave out report.html and the draws of drives: a folder to "
+        "hand on.",
         "--verbose -v": "Print notes, tables and the whole verdict too.",
     },
 )
@@ -90,6 +92,7 @@ def identify(given: Given) -> None:
         offsets=given.offsets,
         tendons=given.tendons,
         elastic=given.elastic,
+        bare=given.bare,
         report=notes.append,
         command=command_line(given.ctx),
         config=config_text(given.ctx, out),
@@ -101,7 +104,7 @@ def identify(given: Given) -> None:
     else:
         details = [
             f"written to {out}: {', '.join(path.name for path in saved)}\n"
-            f"{len(notes)} notes on choices: with -v, in report.html and result.json"
+            f"{len(notes)} notes on choices: with -v, and in result.json"
         ]
     details[0] = f"\n{details[0]}"
     given.show(content, *details)

@@ -66,10 +66,14 @@ def robots(given: Given) -> None:
         bundled_robots,
         downloadable_robots,
         example_robots,
+        identified_robots,
     )
+    from sdpid.verifier.reading import parse, read_bytes
 
+    results = identified_robots()
     sources = {
         "bundled": bundled_robots(),
+        "identified": tuple(results),
         "example-robot-data": tuple(example_robots()),
         "robot_descriptions, downloaded at first use": downloadable_robots(),
     }
@@ -78,5 +82,10 @@ def robots(given: Given) -> None:
         source: [name for name in names if word.lower() in name.lower()]
         for source, names in sources.items()
     }
-    shown = "\n".join(filter(None, map(listed, held, held.values())))
-    given.show(held, shown or f"no name holds {word!r}")
+    missed = {
+        name: parse(read_bytes(results[name] / "result.json"))["headline"]["error"]
+        for name in held["identified"]
+    }
+    lines = {**held, "identified": [f"{name}: {error}" for name, error in missed.items()]}
+    shown = "\n".join(filter(None, map(listed, lines, lines.values())))
+    given.show({**held, "identified": missed}, shown or f"no name holds {word!r}")

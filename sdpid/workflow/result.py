@@ -99,6 +99,7 @@ def save(
     offsets: bool = False,
     tendons: bool = False,
     elastic: bool = False,
+    bare: bool = False,
     report: Callable[[str], None] | None = None,
     command: str | None = None,
     config: str | None = None,
@@ -126,6 +127,8 @@ def save(
     elastic : bool, optional
         Write identified_elastic.xml too, with springs between motors and links where a stiffness
         was found.
+    bare : bool, optional
+        Leave out report.html and drives_samples.npz, of which most of the folder's size is.
     report : callable, optional
         Called with a sentence for all that the files leave out of the estimate (see
         `ExportReport`), and for every file that is not written.
@@ -170,10 +173,12 @@ def save(
             _friction(result, stage, note)
             if result.drives is not None:
                 note(write_drives(result.drives, stage))
+            if result.drives is not None and not bare:
                 write_drive_draws(result.drives, stage / DRIVE_SAMPLES, stage / "identified.xml")
             if figures:
                 _figures(result, stage)
-            _report(result, stage, note, command, exports)
+            if not bare:
+                _report(result, stage, note, command, exports)
             if config is not None:
                 (stage / _CONFIG).write_text(config, encoding="utf-8")
             content = json_text({**result.to_dict(), "exports": exports})

@@ -16,6 +16,7 @@ from sdpid._common.files import load_toml
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 from sdpid.output.tables.parameters_file import parameters_dict
+from sdpid.robot.description.catalog import identified_robots, results_folder
 from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xml import read_description
 from sdpid.robot.friction.model import FrictionModel
@@ -32,7 +33,7 @@ Saved: TypeAlias = "SavedRun | Identification | str | os.PathLike[str]"
 # Options that say where files go or what is printed, not what is computed; the logs and the robot
 # are told apart by their hashes.
 _NOT_COMPUTED = frozenset(
-    {"out", "figures", "offsets", "verbose", "json", "quiet", "log", "validation"}
+    {"out", "figures", "offsets", "bare", "verbose", "json", "quiet", "log", "validation"}
 )
 
 _LOG = "log, SHA-256"
@@ -141,9 +142,13 @@ class SavedRun(Shown):
             recipe = None if given.recipe is None else given.recipe.to_dict()
             sealed = {"inputs": given.inputs, "recipe": recipe}
             return cls._from(None, given.to_dict(), parameters, sealed, None)
-        path = Path(given) if isinstance(given, (str, os.PathLike)) else None
+        path = results_folder(given) if isinstance(given, (str, os.PathLike)) else None
         if path is None or not path.is_dir():
-            raise DataError(f"{given}: is no folder; give one that sdpid identify --out wrote.")
+            known = ", ".join(identified_robots())
+            raise DataError(
+                f"{given}: is no folder; give one that sdpid identify --out wrote, or the name of "
+                f"an identified robot ({known})."
+            )
         if missing := [name for name in (RESULT, PARAMETERS) if not (path / name).exists()]:
             raise DataError(
                 f"{path}: has no {' and no '.join(missing)}; give a folder that sdpid identify "
@@ -282,14 +287,15 @@ def _parameter(entry: Mapping[str, Any]) -> SavedParameter:
 
 
 def load(folder: str | os.PathLike[str]) -> SavedRun:
-    """Load a result of `identify` from the folder that it was saved in.
+    """Load a result of `identify`: from the folder that it was saved in, or of the package's own.
 
     Nothing is computed anew, and nothing is proven: `verify` checks a folder.
 
     Parameters
     ----------
-    folder : path
-        Written by `Identification.save` or ``sdpid identify --out``.
+    folder : path or name
+        Written by `Identification.save` or ``sdpid identify --out``; or the name of a robot that
+        comes with the package identified, such as ``"panda"`` (``sdpid robots`` lists them).
 
     Returns
     -------
@@ -306,6 +312,8 @@ def load(folder: str | os.PathLike[str]) -> SavedRun:
     >>> files = result.save("results")
     >>> round(sdpid.load("results").base["Fv1"].value)
     151
+    >>> sdpid.load("panda").model().mass_matrix(np.zeros(7)).shape
+    (7, 7)
     """
     return SavedRun.of(folder)
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import CertificateError
 from sdpid.output.robots.friction_files import NAMES as FRICTION_FILES
+from sdpid.robot.description.catalog import results_folder
 from sdpid.verifier import certificate, manifest, tables
 from sdpid.verifier.command import check_path
 from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
@@ -130,7 +131,8 @@ def verify(
     Parameters
     ----------
     path : path
-        A file written by `Certificate.to_json`, or a folder written by `Identification.save`.
+        A file written by `Certificate.to_json`, a folder written by `Identification.save`, or the
+        name of a robot that comes with the package identified.
     data : Recording or path, or a sequence of these, optional
         The logs that the folder's result was made of, in their order.
     robot : RobotModel, name or path, optional
@@ -160,13 +162,14 @@ def verify(
     >>> print(verification.verdict)
     PROVEN, but for what was not checked.
     """
+    path = results_folder(path)
     try:
         result, sha256, claims = check_path(path)
     except OSError as cause:
         raise CertificateError(f"cannot read {cause.filename or path}: {cause.strerror}.") from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
-    log, folder = None, Path(path)
+    log, folder = None, path
     if robot is not None and data is None:
         result = _of_robot(result, folder, robot)
     if data is not None:

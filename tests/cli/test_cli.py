@@ -591,4 +591,6 @@ def test_names_of_robots_are_listed() -> None:
     assert "ur_description/ur10_robot" in some
     assert "denso" not in some
     assert told("robots", "denso")["bundled"] == ["denso_vp6242"]
+    assert "gen3_identified: 8.49 % in motion" in printed("robots", "gen3_ident")
+    assert set(told("robots", "panda_id")["identified"]) == {"panda_identified"}
     assert printed("robots", "no such word") == "no name holds 'no such word'\n"

@@ -1,10 +1,11 @@
-"""Find robots by name: bundled, in example-robot-data, or in robot_descriptions."""
+"""Find robots by name: bundled, identified, in example-robot-data, or in robot_descriptions."""
 
 from __future__ import annotations
 
 import difflib
 import importlib
 import importlib.metadata
+import os
 from functools import cache
 from pathlib import Path
 
@@ -17,6 +18,9 @@ _SHOWN, _ALIKE = 5, 0.6
 _LONGEST_NAME = 80
 # Extensions that names are compared without, the last one first.
 _EXTENSIONS = (".xacro", ".urdf", ".xml", ".mjcf")
+
+# Ends the names of robots whose links were identified.
+_IDENTIFIED = "_identified"
 
 _PACKAGE = Path(__file__).resolve().parents[2]
 
@@ -47,6 +51,18 @@ def bundled_folder(name: str) -> Path:
     return models_folder() / name
 
 
+def identified_robots() -> dict[str, Path]:
+    """Return the folders of the results that come with the package, by names of their robots."""
+    found = sorted(models_folder().glob("*/identified/result.json"))
+    return {f"{path.parents[1].name}{_IDENTIFIED}": path.parent for path in found}
+
+
+def results_folder(given: str | os.PathLike[str]) -> Path:
+    """Return a path of results: what is there, or where what comes with the package lies."""
+    path, name = Path(given), f"{str(given).removesuffix(_IDENTIFIED)}{_IDENTIFIED}"
+    return path if path.exists() else identified_robots().get(name, path)
+
+
 @cache
 def example_robots() -> dict[str, Path]:
     """Return the URDF files of the installed example-robot-data, by folder/stem."""
@@ -72,8 +88,9 @@ def downloadable_robots() -> tuple[str, ...]:
 
 
 def robot_names() -> tuple[str, ...]:
-    """Return the names that `load_robot` knows: bundled robots, those with files, the others."""
-    return (*bundled_robots(), *example_robots(), *downloadable_robots())
+    """Return the names that `load_robot` knows: those that come with the package come first."""
+    ours = (*bundled_robots(), *identified_robots())
+    return (*ours, *example_robots(), *downloadable_robots())
 
 
 def _download(name: str) -> Path:
@@ -102,8 +119,8 @@ def _download(name: str) -> Path:
 def find_robot(name: str) -> Path:
     """Return the description of a robot by name.
 
-    Bundled robots come first, then those of example-robot-data by stem or folder/stem, then those
-    of robot_descriptions, which are downloaded (extra ``descriptions``).
+    Bundled and identified robots come first, then those of example-robot-data by stem or
+    folder/stem, then those of robot_descriptions, which are downloaded (extra ``descriptions``).
 
     Raises
     ------
@@ -113,6 +130,9 @@ def find_robot(name: str) -> Path:
     """
     if name in bundled_robots():
         return bundled_folder(name) / f"{name}.urdf"
+    if folder := identified_robots().get(name):
+        urdf = folder / "identified.urdf"
+        return urdf if urdf.exists() else folder / "identified.xml"
     robots = example_robots()
     matches = [key for key in robots if name in (key, key.split("/")[1])]
     if len(matches) > 1:

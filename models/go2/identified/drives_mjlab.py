@@ -1,0 +1,134 @@
+"""Drives for mjlab 1.3 or later.
+
+Found by sdpid from commanded and measured positions under a known law.
+"""
+
+from mjlab.actuator import BuiltinPositionActuatorCfg
+
+PHYSICS_STEP = 0.002  # s: that of your simulation
+# 5.0 ms, but 0.0 to 8.4 ms stay open; with each ms armature changes by -0.0011 kg.m2 and damping by -0.01 N.m.s/rad; friction + (damping + kp*delay)*v is known 9.1 times better than damping alone
+DELAY = 0.004991987053763724  # s, from a command to its effort
+DELAY_STEPS = round(DELAY / PHYSICS_STEP)
+
+ACTUATORS = (
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('FL_hip_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=1.8395266852450394e-09,
+        frictionloss=0.319606121249346,
+        viscous_damping=0.0,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('FL_thigh_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.0,
+        frictionloss=0.18621668657531382,
+        viscous_damping=0.15691320644327242,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('FL_calf_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.02460906731546353,
+        frictionloss=0.977082431062875,
+        viscous_damping=0.029254511012514032,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('FR_hip_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.0,
+        frictionloss=0.18441811935186797,
+        viscous_damping=0.18824083663271185,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('FR_thigh_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.018135787381977134,
+        frictionloss=0.1896778464383232,
+        viscous_damping=0.08316075863831293,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('FR_calf_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.02101289168586064,
+        frictionloss=0.6446502926129982,
+        viscous_damping=0.0003161201208082892,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('RL_hip_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.0,
+        frictionloss=0.1585604245384029,
+        viscous_damping=0.10289727519330298,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('RL_thigh_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.009096595484036447,
+        frictionloss=0.1487276950483451,
+        viscous_damping=0.11955138190124737,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('RL_calf_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.02045786533474168,
+        frictionloss=1.369338842588392,
+        viscous_damping=0.0,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('RR_hip_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.0,
+        frictionloss=0.22638514692460537,
+        viscous_damping=0.12095707997576555,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('RR_thigh_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.0036864207309337976,
+        frictionloss=0.2690865008183077,
+        viscous_damping=0.08715833796353159,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+    BuiltinPositionActuatorCfg(
+        target_names_expr=('RR_calf_joint',),
+        stiffness=20.0,
+        damping=1.5,
+        armature=0.0219713568031612,
+        frictionloss=0.8142550245811224,
+        viscous_damping=0.012821230084205978,
+        delay_min_lag=DELAY_STEPS,
+        delay_max_lag=DELAY_STEPS,
+    ),
+)
