@@ -307,8 +307,8 @@ def listing() -> str:
             rows.append((f"`{name}`", row["title"], *_missed(result)))
     text = (
         "Made from public records by `python models/make.py`. Missed is the effort in motion, "
-        "block by block of the log, each predicted by a fit to the others; of robots whose torque was "
-        "not measured the positions of its fastest third. `NAME/identified/README.md` says who "
+        "block by block of the log, each predicted by a fit to the others; of robots whose torque "
+        "was not measured the positions of its fastest third. `NAME/identified/README.md` says who "
         "recorded what, what the model is good for and which links are not known; where a license "
         "does not allow more, `NAME/README.md` has the commands alone."
     )
