@@ -240,7 +240,8 @@ class SavedRun(Shown):
         files = [each for name in ROBOTS if self.folder and (each := self.folder / name).exists()]
         if not files or self.recipe is None:
             lacking = " and no ".join(ROBOTS) if self.recipe else "recipe in its manifest.json"
-            raise DataError(f"{what}: has no {lacking}, so that no model can be made of it.")
+            links = f"; sdpid.load_robot reads the links of {files[0]}" if files else ""
+            raise DataError(f"{what}: has no {lacking}, so that no model can be made of it{links}.")
         given = self.recipe["robot"]
         text = without_level(read_description(files[0]).text)
         how = {name: given.get(name) for name in ("root", "gravity", "transmission")}

@@ -64,12 +64,16 @@ def test_the_robot_has_the_parameters(name: str) -> None:
     robot, saved = sdpid.load_robot(name), sdpid.load(short(name))
     values = [each.value for each in saved.standard.values()]
     assert robot.joint_names == tuple(saved.result["problem"]["joints"])
+    mjcf = sdpid.load_robot(ROBOTS[name] / "identified.xml")
+    np.testing.assert_allclose(robot.prior, mjcf.prior, atol=1e-12)
     if name in OF_LAW:
         with (ROBOTS[name] / "drives.csv").open() as file:
             drives = {row["joint"]: float(row["armature [kg.m2]"]) for row in csv.DictReader(file)}
         joints = ElementTree.parse(ROBOTS[name] / "identified.xml").iter("joint")
         written = {j.get("name"): float(j.get("armature", 0.0)) for j in joints if j.get("name")}
         assert {joint: written[joint] for joint in drives} == pytest.approx(drives, abs=1e-9)
+        with pytest.raises(sdpid.errors.DataError, match="load_robot reads the links"):
+            saved.model()
         return
     np.testing.assert_allclose(robot.prior.ravel(), values[: robot.prior.size], atol=1e-9)
     model, q = saved.model(), np.zeros(robot.n)
