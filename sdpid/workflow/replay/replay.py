@@ -30,7 +30,11 @@ from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.prepare import Logs, Prepared, prepare
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.description.catalog import bundled_robots, example_robots
+from sdpid.robot.description.catalog import (
+    bundled_robots,
+    example_robots,
+    identified_robots,
+)
 from sdpid.robot.description.urdf import without_level
 from sdpid.robot.description.xacro import is_xacro
 from sdpid.robot.description.xml import read_description
@@ -537,7 +541,7 @@ def _options(how: dict[str, Any]) -> str:
 
 def _installed(name: str) -> bool:
     """Return whether a name is that of a robot on this machine: a manifest may name any file."""
-    known = (*bundled_robots(), *example_robots())
+    known = (*bundled_robots(), *identified_robots(), *example_robots())
     return name in known or name in {each.split("/")[-1] for each in known}
 
 
