@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
-import re
+import json
+from pathlib import Path
 from typing import Any
 
 from sdpid.errors import MissingExtraError
@@ -31,14 +32,23 @@ def require(module: str, *, extra: str) -> Any:
 
 
 def installation(extra: str) -> str:
-    """Return the command that installs the packages of an extra, wherever sdpid came from."""
+    """Return the command that installs an extra from where sdpid itself came from."""
     try:
-        lines = importlib.metadata.requires("sdpid") or []
+        distribution = importlib.metadata.distribution("sdpid")
     except importlib.metadata.PackageNotFoundError:
-        lines = []
-    packages = [
-        line.partition(";")[0] for line in lines if re.search(f"extra == .{extra}\\b", line)
-    ]
-    if not packages:
-        return f"pip install '.[{extra}]' in the checkout of sdpid"
-    return f"pip install {' '.join(map(repr, map(str.strip, packages)))}"
+        return _from_checkout(extra)
+    # PEP 610: pip leaves this file where it was given a folder, a file or a repository.
+    text = distribution.read_text("direct_url.json")
+    source = {} if text is None else json.loads(text)
+    loaded = distribution.locate_file("sdpid/_common/extras.py")
+    if "dir_info" in source or Path(str(loaded)).resolve() != Path(__file__).resolve():
+        return _from_checkout(extra, editable=source.get("dir_info", {}).get("editable", False))
+    if "vcs_info" in source:
+        vcs = source["vcs_info"]
+        return f"pip install 'sdpid[{extra}] @ {vcs['vcs']}+{source['url']}@{vcs['commit_id']}'"
+    return f"pip install 'sdpid[{extra}]{' @ ' + source['url'] if source else ''}'"
+
+
+def _from_checkout(extra: str, *, editable: bool = False) -> str:
+    """Return the command for who runs a checkout, or installed it."""
+    return f"pip install {'-e ' if editable else ''}'.[{extra}]' in the checkout of sdpid"

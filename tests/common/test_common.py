@@ -3,6 +3,7 @@
 import csv
 import gc
 import hashlib
+import importlib.metadata
 import io
 import json
 import os
@@ -21,13 +22,14 @@ from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import sdpid
+from sdpid._common.extras import installation, require
 from sdpid._common.files import Source, load_toml, unchanged
 from sdpid._common.progress import progress
 from sdpid._common.sandbox import memory_limit, run_in_sandbox
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
 from sdpid.assurance.tables.csv_table import read_base_table
-from sdpid.errors import DataError, ModelError
+from sdpid.errors import DataError, MissingExtraError, ModelError
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.description.xml import read_description
@@ -116,6 +118,69 @@ def test_a_bar_only_on_a_terminal_that_draws(
     with progress(2.0, "working") as advance:
         advance(1.0)
     assert ("working" in terminal.getvalue()) is drawn
+
+
+# What is missing is installed from where sdpid itself came from.
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """How pip recorded an installation: what it was given, if not a name, and where it lies."""
+
+    source: dict[str, Any] | None
+    folder: Path = Path(sdpid.__file__).parents[1]
+
+    def read_text(self, name: str) -> str | None:
+        assert name == "direct_url.json"
+        return None if self.source is None else json.dumps(self.source)
+
+    def locate_file(self, path: str) -> Path:
+        return self.folder / path
+
+
+CHECKOUT = "'.[sim]' in the checkout of sdpid"
+
+
+@pytest.mark.parametrize(
+    ("distribution", "command"),
+    [
+        (Distribution(None), "pip install 'sdpid[sim]'"),
+        (Distribution({"url": "file:///a", "dir_info": {}}), f"pip install {CHECKOUT}"),
+        (
+            Distribution({"url": "file:///a", "dir_info": {"editable": True}}, Path("/none")),
+            f"pip install -e {CHECKOUT}",
+        ),
+        (Distribution(None, Path("/none")), f"pip install {CHECKOUT}"),
+        (
+            Distribution({"url": "file:///a.whl", "archive_info": {}}),
+            "pip install 'sdpid[sim] @ file:///a.whl'",
+        ),
+        (
+            Distribution({"url": "https://a/b", "vcs_info": {"vcs": "git", "commit_id": "c0"}}),
+            "pip install 'sdpid[sim] @ git+https://a/b@c0'",
+        ),
+    ],
+    ids=["index", "folder", "editable", "another's", "wheel", "repository"],
+)
+def test_an_extra_is_installed_from_where_sdpid_came_from(
+    distribution: Distribution, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.metadata, "distribution", lambda name: distribution)
+    assert installation("sim") == command
+    with pytest.raises(MissingExtraError, match="package 'none_such'") as missing:
+        require("none_such.part", extra="sim")
+    assert str(missing.value).endswith(command)
+
+
+def test_an_extra_of_what_is_not_installed_is_in_its_checkout(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(importlib.metadata, "distribution", raising_not_found)
+    assert installation("sim") == f"pip install {CHECKOUT}"
+
+
+def raising_not_found(name: str) -> None:
+    raise importlib.metadata.PackageNotFoundError(name)
 
 
 # A child process takes the harm that a file can do; the parent gets a result or one error.

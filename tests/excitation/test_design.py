@@ -197,7 +197,7 @@ def test_a_floating_base_is_refused() -> None:
 def test_without_casadi_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     # None stands for a module that cannot be found.
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(MissingExtraError, match=r"pip install .casadi"):
+    with pytest.raises(MissingExtraError, match=r"pip install .*\[excite\]'"):
         sdpid.design_excitation("denso_vp6242", **QUICK)
 
 

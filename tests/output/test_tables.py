@@ -109,7 +109,7 @@ def test_files_that_are_none(tmp_path: Path, text: str, match: str) -> None:
 def test_other_refusals(
     tmp_path: Path, estimate: Estimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words, lacking = r"\.json, \.yaml or \.yml", r"pip install .pyyaml"
+    words, lacking = r"\.json, \.yaml or \.yml", r"pip install .*\[yaml\]'"
     refuses(ExportError, words, write_parameters, estimate, tmp_path / "p.toml")
     refuses(DataError, r"cannot read .*absent", read_parameters, tmp_path / "absent.json")
     (tmp_path / "p.yaml").write_text("a: [1\nb: }")
