@@ -18,6 +18,7 @@ from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.estimation.compression.covariance import LaggedSums, integrated_time
+from sdpid.experiment.processing.motion import power_density
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
 
@@ -180,22 +181,12 @@ def _of_joint(name: str, samples: Samples, j: int, predicted: Array) -> JointErr
 
 
 def _density(signal: Array, samples: Samples) -> tuple[Array, Array]:
-    """Return frequencies and the power density of a signal (K,) of samples.
-
-    By pieces that overlap by half, as SciPy's `welch`, whose module takes longer to load than all
-    the rest of a report to write. No piece lies across a break of the samples.
-    """
-    rate, lengths = 1.0 / period(samples), [part.stop - part.start for part in samples.parts]
-    size = min(_PIECE, *lengths)
-    window = np.sin(np.pi * np.arange(size) / size) ** 2 if size > 1 else np.ones(1)
-    total: Array = np.zeros(size // 2 + 1)
-    for part, length in zip(samples.parts, lengths, strict=True):
-        pieces = np.lib.stride_tricks.sliding_window_view(signal[part], size)[:: size - size // 2]
-        power = np.mean(np.abs(np.fft.rfft(pieces * window)) ** 2, axis=0)
-        total += power * (length / len(signal)) / (rate * np.sum(window**2))
-    # Of a real signal negative frequencies have as much; there are none of zero and of the last.
-    total[1 : (size + 1) // 2] *= 2.0
-    return np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64), total
+    """Return frequencies and the power density of a signal (K,): no piece lies across a break."""
+    lengths = [part.stop - part.start for part in samples.parts]
+    rate, size = 1.0 / period(samples), min(_PIECE, *lengths)
+    found = [power_density(signal[part], rate, size) for part in samples.parts]
+    shares = np.array(lengths) / len(signal)
+    return found[0][0], np.asarray(shares @ [power for _, power in found])
 
 
 def _over_velocity(v: Array, e: Array, independent: float) -> tuple[Array, float]:

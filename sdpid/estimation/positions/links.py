@@ -36,6 +36,10 @@ from sdpid.robot.model.dynamics import RobotDynamics
 # Kinds of drives by the symbols of the problem's friction terms.
 SYMBOLS = {"Ia": "armature", "Fv": "damping", "Fs": "friction"}
 
+# Bytes of a regressor, written a few times, in which Numba makes up for its loading: half a second.
+# Where it compiles for the first time, it takes several.
+_LARGE = 1 << 28
+
 # Of its step the shares that are tried until the cost falls.
 _SHARES = (1.0, 0.5, 0.25)
 
@@ -104,9 +108,9 @@ class JointNormal:
 
         def columns(k: int) -> Columns:
             motion = fit.solved.motions[k]
-            Y = problem.robot.regressor(
-                motion.position[:-1], motion.velocity[:-1], motion.acceleration
-            )
+            states = motion.position[:-1], motion.velocity[:-1], motion.acceleration
+            size = len(motion.acceleration) * problem.robot.n * 10 * problem.robot.n_links
+            Y = problem.robot.regressor_columns(*states, compiled=8 * size >= _LARGE)
             for joints, J in rollouts[k].columns(motion, drives, kinds, unknowns.delay, Y):
                 friction = [place[own[f"{s}{j + 1}"]] for s in SYMBOLS for j in joints]
                 links = place[(10 * joints[:, None] + np.arange(10)).ravel()]

@@ -26,7 +26,7 @@ from sdpid.experiment.inspection.kinds import (
     warning,
 )
 from sdpid.experiment.inspection.subject import Subject, check
-from sdpid.experiment.processing.motion import motion_frequency
+from sdpid.experiment.processing.motion import motion_frequency, power_density
 from sdpid.experiment.recording.plausible import moving
 from sdpid.experiment.recording.stored import ROWS, extremes
 
@@ -409,8 +409,6 @@ def _plateaus(values: Array, limit: float) -> int:
 @check
 def noisy_efforts(subject: Subject) -> Iterator[Finding]:
     """Find efforts of moving joints whose power lies far above the band of the motion."""
-    from scipy.signal import welch
-
     if not subject.pieces:
         return
     piece = subject.longest
@@ -418,13 +416,13 @@ def noisy_efforts(subject: Subject) -> Iterator[Finding]:
         band = max(_BAND * motion_frequency(piece), _LEAST_BAND)
     except DataError:
         return
-    rows, length = slice(0, _HEARD), min(piece.n_samples, round(_HEARD_S / piece.step))
+    rows, length = slice(0, _HEARD), min(piece.n_samples, _HEARD, round(_HEARD_S / piece.step))
     moves = moving(*subject.position_range)
     for j in np.flatnonzero(moves).tolist() if band < 0.5 * _BELOW / piece.step else ():
         name, effort = piece.names[j], np.asarray(piece.effort[rows, j], dtype=np.float64)
         if name in subject.without or not np.ptp(effort):
             continue
-        frequency, power = welch(effort - effort.mean(), 1.0 / piece.step, nperseg=length)
+        frequency, power = power_density(effort, 1.0 / piece.step, length, centered=True)
         above = np.where(frequency > band, power, 0.0)
         # A steady effort counts: a motion at constant speed needs no more.
         share = float(above.sum() / power.sum() * effort.var() / np.mean(effort**2))

@@ -58,14 +58,15 @@ def truncated_normal(
         for i, direction in enumerate((vectors * deviations).T):
             rest = x - z[:, i, None] * direction
             moved = direction != 0.0
-            sides = np.sort([(end - rest)[:, moved] / direction[moved] for end in ends], axis=0)
+            one, other = ((end - rest)[:, moved] / direction[moved] for end in ends)
             # A number at its bound may be beyond it by rounding.
-            first = np.minimum(sides[0].max(axis=1), z[:, i])
-            last = np.maximum(sides[1].min(axis=1), z[:, i])
+            first = np.minimum(np.minimum(one, other).max(axis=1), z[:, i])
+            last = np.maximum(np.maximum(one, other).min(axis=1), z[:, i])
             # Probabilities far out on the right are rounded to 1, on the left their logarithms
             # are exact.
             turned = np.where(first > 0.0, -1.0, 1.0)
-            least, most = log_ndtr(np.sort([turned * first, turned * last], axis=0))
+            least = log_ndtr(np.where(first > 0.0, -last, first))
+            most = log_ndtr(np.where(first > 0.0, -first, last))
             share, ratio = 1.0 - rng.random(len(x)), np.exp(least - most)
             drawn = turned * ndtri_exp(most + np.log(ratio + share * (1.0 - ratio)))
             z[:, i] = np.clip(drawn, first, last)

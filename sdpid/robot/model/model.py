@@ -27,6 +27,10 @@ from sdpid.robot.model.coordinates import coordinate_names, expand_mimics, link_
 # Descriptions and our own URDFs write 'no limit' as a number at least this large.
 _UNLIMITED = 1e9
 
+# Links of at least this mass (kg) have a center of mass that is worth computing, so that
+# Pinocchio's recursion, ten times faster than a regressor, gives their efforts.
+_LEAST_MASS = 1e-3
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RobotModel:
@@ -590,8 +594,11 @@ class RobotModel:
 
     def inverse_dynamics(self, theta: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the efforts (K, n) of links with the given parameters, without friction."""
-        theta = np.asarray(theta, dtype=np.float64).reshape(-1)
-        return self.regressor(q, v, a) @ theta[: 10 * self.n_links]
+        links = np.asarray(theta, dtype=np.float64).reshape(-1)[: 10 * self.n_links]
+        bodies = links.reshape(-1, 10)
+        if np.all((bodies[:, 0] >= _LEAST_MASS) | ~bodies.any(axis=1)):
+            return self.efforts_of_bodies(bodies, q, v, a)
+        return self.regressor(q, v, a) @ links
 
     def efforts_of_bodies(
         self,

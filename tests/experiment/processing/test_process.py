@@ -25,7 +25,7 @@ from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing import pipeline
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.filters import Weights, low_pass, stencil
-from sdpid.experiment.processing.motion import joint_frequencies, white_noise
+from sdpid.experiment.processing.motion import joint_frequencies, power_density, white_noise
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
 from tests.helpers.refusals import refuses
@@ -595,3 +595,13 @@ def test_what_does_not_belong_together_is_refused() -> None:
         (np.full((2000, 2), np.nan), "position"),
     ):
         refuses(DataError, words, twin.samples, wrong)
+
+
+@pytest.mark.parametrize("size", [127, 256])
+@pytest.mark.parametrize("centered", [False, True])
+def test_power_density_is_that_of_scipy(size: int, centered: bool) -> None:
+    values = 0.5 + np.random.default_rng(0).normal(size=1000)
+    detrend: Any = "constant" if centered else False
+    expected = signal.welch(values, RATE, nperseg=size, detrend=detrend)
+    found = power_density(values, RATE, size, centered=centered)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-15)
