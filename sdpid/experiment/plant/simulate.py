@@ -424,21 +424,27 @@ def simulate(
     terms = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
     model = RobotDynamics(robot=robot, terms=terms, theta=theta)
     move = _followed(model, trajectory) if exact else controlled(model, trajectory, drives)
+
+    def measured(start: int, stop: int, state: Array | None) -> tuple[Array, Array]:
+        (q, v, torque), after = move(start, stop, state)
+        if unmodeled and drives.unmodeled:
+            torque = torque + drives.unmodeled.torque(q, v)
+        if noise:
+            q = np.rint(q / resolution) * resolution
+        return np.stack([q, torque, trajectory.sample(start, stop)[0]]), after
+
     position, effort, reference = np.empty((3, trajectory.n_samples, robot.n))
     row, scale, resolution = 0, drives.effort_scale, drives.resolution
     settling = trajectory.samples_per_period if trajectory.closed else 0
     total = trajectory.n_samples + settling
     with progress_bar(total, "simulating", enabled=progress) as advance:
-        for first, (q, v, torque) in _parts(trajectory, settling, move, advance):
+        for q, torque, desired in _parts(trajectory, settling, measured, advance):
             rows = slice(row, row + len(q))
             row += len(q)
-            extra = drives.unmodeled.torque(q, v) if unmodeled and drives.unmodeled else 0.0
-            current = (torque + extra) / scale
+            current = torque / scale
             if noise:
-                q = np.rint(q / resolution) * resolution
                 current += drives.current_noise * rng.standard_normal(current.shape)
-            position[rows], effort[rows] = q, current * scale
-            reference[rows] = trajectory.sample(first, first + len(q))[0]
+            position[rows], effort[rows], reference[rows] = q, current * scale, desired
     rate, lead = trajectory.rate_hz, trajectory.lead_samples
     notes = ("simulated without a controller: the robot follows its motion exactly",)
     return Recording(
@@ -514,9 +520,9 @@ def _followed(model: RobotDynamics, trajectory: Trajectory) -> Move:
 
 
 def _parts(
-    trajectory: Trajectory, settling: int, move: Move, advance: Callable[[float], None]
-) -> Iterator[tuple[int, Array]]:
-    """Yield the record in parts: the first sample, and positions, velocities and efforts."""
+    trajectory: Trajectory, settling: int, measured: Move, advance: Callable[[float], None]
+) -> Iterator[Array]:
+    """Yield the record in parts: positions, efforts and desired positions, (3, K, n)."""
     lead, end, period = trajectory.lead_samples, trajectory.n_samples, trajectory.samples_per_period
     # Rest, connection and the settling period, within which the record begins; then the periods.
     spans = [(0, lead + settling, settling), *[(lead, lead + period, 0)] * trajectory.periods]
@@ -528,11 +534,11 @@ def _parts(
             continue
         # A loop that has settled moves as in the period before.
         if span != done or not settled:
-            states, after = move(start, stop, state)
+            states, after = measured(start, stop, state)
             settled = state is not None and bool(np.abs(after - state).max() <= SETTLED)
             done, state = span, after
         advance(stop - start)
-        yield start + skipped, states[:, skipped:]
+        yield states[:, skipped:]
 
 
 def plant_parts(

@@ -165,7 +165,10 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
     for name in OPTIONAL:
         table = getattr(log, name)
         for j in range(0 if table is None else log.n):
-            turns = np.rint((table[:, j] - straight[:, j]) / _TURN)
+            apart = table[:, j] - straight[:, j]
+            if max(-apart.min(), apart.max()) < 0.5 * _TURN:
+                continue
+            turns = np.rint(apart / _TURN)
             moved = table[:, j] - _TURN * turns
             # One in another unit, or of another joint, jumps where it leaves the position.
             if turns.any() and np.abs(np.diff(moved)).max() <= _LARGEST_STEP:

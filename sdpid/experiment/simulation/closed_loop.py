@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -124,6 +125,8 @@ class Motion(Shown):
         What the controller commands at these times, N·m (N).
     measured : ndarray, shape (K, n)
         Positions as the controller sees them: with the position noise that it feeds back.
+    arm : SimulatedArm
+        The robot that moved.
     diverged : float or None
         Time (s) at which the motion diverged and the samples end: a speed that is not finite or
         beyond 1000 rad/s (m/s). None where it did not.
@@ -141,14 +144,19 @@ class Motion(Shown):
     time: Array
     position: Array
     velocity: Array
-    acceleration: Array
     effort: Array
     measured: Array
+    arm: SimulatedArm
     diverged: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("time", "position", "velocity", "acceleration", "effort", "measured"):
+        for name in ("time", "position", "velocity", "effort", "measured"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @cached_property
+    def acceleration(self) -> Array:
+        """Accelerations under these efforts, shape (K, n), in rad/s² (m/s²)."""
+        return frozen(self.arm.dynamics(self.position, self.velocity, self.effort)[2])
 
     def _shown(self) -> dict[str, object]:
         return {
@@ -266,9 +274,10 @@ def simulate_closed_loop(
         states = np.stack([real_array(each, "start", ndim=1) for each in start])
         if states.shape != (2, n):
             raise DataError(f"start: shapes {states.shape}, expected two of ({n},).")
-    told = desired.at(np.asarray(dt * np.arange(0.0, steps + 1.0, max(every, 1))))
+    grid = np.asarray(dt * np.arange(0.0, steps + 1.0, max(every, 1)))
+    ends = told = desired.at(grid)
     if not every:
-        told = 0.5 * (told[:-1] + told[1:])
+        told = 0.5 * (ends[:-1] + ends[1:])
     out = np.zeros((5, len(times), n))
     run = told, noise, times, steps, every, dt, differenced, np.ascontiguousarray(states), out
     if isinstance(controller, JointLaw):
@@ -280,15 +289,17 @@ def simulate_closed_loop(
     q, v, held, measured, integral = (x[:count] for x in out)
     effort = held
     if not every:
-        told = desired.at(times[:count])
-        effort = controller.effort(q, v, told[:, 0], told[:, 1], told[:, 2], integral)
+        # Mostly every end of a step is a sample, and this need not be evaluated again.
+        same = len(grid) >= len(times) and np.allclose(grid[: len(times)], times, 0.0, NEAR * dt)
+        then = ends[:count] if same else desired.at(times[:count])
+        effort = controller.effort(q, v, then[:, 0], then[:, 1], then[:, 2], integral)
     return Motion(
         time=times[:count],
         position=q,
         velocity=v,
-        acceleration=arm.dynamics(q, v, effort)[2],
         effort=effort,
         measured=measured,
+        arm=arm,
         diverged=float(times[count]) if count < len(times) else None,
     )
 
