@@ -8,6 +8,7 @@ Pictures of real arms need the public records: `SDPID_DATA` names their folder (
 
 from __future__ import annotations
 
+import csv
 import os
 import sys
 import tempfile
@@ -62,7 +63,8 @@ def bars(axis: Any, groups: dict[str, Any], names: Any, colors: Any, form: str =
     for k, (label, values) in enumerate(groups.items()):
         at = np.arange(len(names)) + (k - 0.5 * (len(groups) - 1)) * width
         drawn = axis.bar(at, values, 0.94 * width, label=label, color=colors[k])
-        axis.bar_label(drawn, [form.format(each) for each in values], fontsize=7, padding=1)
+        told = ["" if np.isnan(each) else form.format(each) for each in values]
+        axis.bar_label(drawn, told, fontsize=7, padding=1)
     axis.set_xticks(np.arange(len(names)), names, fontsize=8)
     axis.margins(y=0.15)
     if len(groups) > 1:
@@ -572,6 +574,31 @@ def transmissions() -> Any:
     return axes
 
 
+def ready_models() -> Any:
+    """Draw what four models of each arm miss, from the table of evidence/ready_models.md."""
+    table = IMAGES.parents[1] / "evidence" / "tables" / "ready_models" / "models.csv"
+    with table.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    arms, models = (dict.fromkeys(row[key] for row in rows) for key in ("arm", "model"))
+    order = ("URDF", "Menagerie", "URDF, friction fitted", "identified")
+    assert {*order} >= {*models}
+    axes = panels(2, 1, height=4.8)
+    for axis, column, label in zip(
+        axes.flat,
+        ("missed_percent", "tracking_deg"),
+        ("missed effort [%]", "tracking error of\nthe median joint [°]"),
+        strict=True,
+    ):
+        found = {(row["arm"], row["model"]): float(row[column] or "nan") for row in rows}
+        groups = {m: [found.get((arm, m), np.nan) for arm in arms] for m in order if m in models}
+        bars(axis, groups, arms, (GRAY, ORANGE, GREEN, BLUE))
+        axis.set_yscale("log")
+        axis.set_ylabel(label)
+    axes[1, 0].get_legend().remove()
+    axes[0, 0].legend(frameon=False, fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0, 1))
+    return axes
+
+
 def two_encoders() -> Any:
     """Draw the deflection of two gears over their torque."""
     folder = RECORDS / "kr300"
@@ -600,7 +627,8 @@ PICTURES: dict[str, Callable[[], Any]] = {
     for each in (
         *(audit, certificate, closed_loop, constraints, effects, estimation, excitation, exports),
         *(fleet, friction, gains, inspection, intervals, law, legged, lines, logs, loops, model),
-        *(payload, processing, recursive, rollout, sampling, springs, transmissions, two_encoders),
+        *(payload, processing, ready_models, recursive, rollout, sampling, springs),
+        *(transmissions, two_encoders),
     )
 }
 
