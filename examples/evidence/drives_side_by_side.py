@@ -15,12 +15,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from law_go2 import KD, KP
 from mujoco import rollout, sysid
 from study import Rows, Study
 
 import sdpid
 
-KP, KD = 20.0, 1.5
 # MuJoCo's usual step, s.
 STEP = 0.002
 TRAINED = 0.7
