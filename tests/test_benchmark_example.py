@@ -1,9 +1,11 @@
-"""The judge of examples/benchmark finds what is wrong with an answer, from its predictions."""
+"""The judge of examples/benchmark finds what is wrong with an answer, and tools can join it."""
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -84,12 +86,86 @@ def test_wrong_answers_are_seen(record: Any) -> None:
         judge(record, efforts, None)
 
 
-def test_a_task_survives_its_file(record: Any, tmp_path: Path) -> None:
+def test_a_task_survives_its_files(record: Any, tmp_path: Path) -> None:
     from protocol import Task
 
-    record.task.write(tmp_path / "task.npz")
-    found = Task.read(tmp_path / "task.npz")
+    record.task.write(tmp_path)
+    found = Task.read(tmp_path)
     assert found.joints == record.task.joints
     assert found.asked.effort is None
     np.testing.assert_array_equal(found.common.effort, record.task.common.effort)
     np.testing.assert_array_equal(found.log["time"], record.task.log["time"])
+
+
+def test_the_tool_that_the_page_shows(record: Any, tmp_path: Path) -> None:
+    from judge import judge
+    from least_squares_tool import least_squares
+    from protocol import Task
+
+    shown = Path("examples", "benchmark", "adapters", "least_squares_tool.py")
+    page = (FOLDER.parents[1] / "docs" / "evidence" / "benchmark.md").read_text(encoding="utf-8")
+    assert str(shown) in page
+    assert len((FOLDER.parents[1] / shown).read_text(encoding="utf-8").splitlines()) <= 40
+    record.task.write(tmp_path)
+    answer = least_squares(Task.read(tmp_path))
+    found = judge(record, np.asarray(answer.predict(record.task.asked)), answer.bodies)
+    noise = 100.0 * 0.05 * np.sqrt(record.truth.size) / np.linalg.norm(record.truth)
+    assert found.held_out == pytest.approx(noise, rel=0.1)
+    # Without the inequality no link of the minimum norm is a body.
+    assert (found.bodies, found.links) == (0, 6)
+
+
+ZEROS = """#!/bin/sh
+# /// script
+# [tool.benchmark]
+# name = "zeros"
+# methods = ["none"]
+# wrist = true
+# ///
+awk 'NR > 1 { print "0,0,0,0,0,0" }' "$1/asked.csv" > "$3/efforts.csv"
+"""
+
+
+@pytest.fixture
+def command(record: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The module of the benchmark's command."""
+    spec = importlib.util.spec_from_file_location("benchmark_command", FOLDER / "__main__.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, spec.name, module)
+    monkeypatch.syspath_prepend(str(FOLDER))
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("header", "line", "left_out"),
+    [
+        ("", "", ""),
+        ("", "exit 3", "process ended with 3"),
+        ("", "while :; do :; done", "stopped after 1 s"),
+        ('dependencies = ["numpy"]', "", "no --peers"),
+    ],
+    ids=["answers", "fails", "takes too long", "has no environment"],
+)
+def test_a_program_joins(
+    command: Any,
+    record: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    header: str,
+    line: str,
+    left_out: str,
+) -> None:
+    monkeypatch.setattr(command, "LIMIT_S", 1)
+    script = tmp_path / "zeros.sh"
+    text = ZEROS.replace("script\n", f"script\n# {header}\n").replace("awk", f"{line}\nawk", 1)
+    script.write_text(text, encoding="utf-8")
+    script.chmod(0o755)
+    study = SimpleNamespace(methods=[], out=tmp_path)
+    (row,) = command.rows(study, [command.Tool.of(str(script))], None, record)
+    found = dict(zip(command.COLUMNS[1:], row, strict=True))
+    assert found["tool"] == "zeros"
+    assert left_out in found["left_out"]
+    assert found["held_out"] == (None if left_out else pytest.approx(100.0))

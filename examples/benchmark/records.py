@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -65,6 +67,9 @@ class Record:
         Slices of the asked rows: `trained`, `held_out`, `masses`, `friction`.
     speeds : ndarray, shape (speeds, n)
         Of the rows of friction, joint by joint.
+    split : dict
+        What is trained on and held out, in words, and a fingerprint of what was recorded: whoever
+        has another one has other rows.
     """
 
     arm: str
@@ -73,6 +78,7 @@ class Record:
     moving: np.ndarray
     parts: dict[str, slice]
     speeds: np.ndarray
+    split: dict[str, object]
 
     def __str__(self) -> str:
         return self.arm
@@ -90,13 +96,23 @@ def _rows(samples: Any) -> Rows:
     return Rows(samples.position, samples.velocity, samples.acceleration, samples.effort)
 
 
+def _predicted(case: Case) -> dict[str, sdpid.Recording]:
+    """Return the recordings that are predicted: not those where one joint of six moves."""
+    return {label: other for label, other in case.others.items() if "alone" not in label}
+
+
+def _fingerprint(logs: Iterable[sdpid.Recording]) -> str:
+    """Return digits that tell recorded positions and efforts from others."""
+    digest = hashlib.sha256()
+    for log in logs:
+        for values in (log.time, log.position, log.effort):
+            digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()[:12]
+
+
 def _held_out(case: Case) -> Rows:
     """Return the common rows behind the training part, or of the other recordings."""
-    rows = []
-    for label, other in case.others.items():
-        if "alone" in label:
-            continue  # one joint of six moves
-        rows.append(_rows(case.held_out(case.common, other)))
+    rows = [_rows(case.held_out(case.common, other)) for other in _predicted(case).values()]
     joined = [np.concatenate([getattr(r, k) for r in rows]) for k in vars(rows[0])]
     return _thinned(Rows(*joined), MOST_PREDICTED)
 
@@ -111,20 +127,28 @@ def _record(arm: str, case: Case, data: Path) -> Record:
     if case.log.velocity is not None:
         log["velocity"] = case.log.velocity
     name = SET[arm]
-    urdf = _without_meshes(data / name / EVERY[name].description)
+    urdf = (data / name / EVERY[name].description).read_text(encoding="utf-8")
     common = _thinned(_rows(case.trained(case.common)), MOST_TRAINED)
     wrist = WRIST if "wrist" in arm else ()
-    return _assembled(arm, case.robot, urdf, log, case.scored_hz, common, _held_out(case), wrist)
+    made = _assembled(arm, case.robot, urdf, log, case.scored_hz, common, _held_out(case), wrist)
+    others = _predicted(case)
+    words = {
+        "set": name,
+        "trained": case.name.partition(", ")[2],
+        "predicted": ", ".join(others),
+        "fingerprint": _fingerprint([case.log, *others.values()]),
+    }
+    return replace(made, split=words | made.split)
 
 
-def _without_meshes(urdf: Path) -> str:
-    """Return a description without shapes, which some tools would look for, as text."""
-    tree = ElementTree.parse(urdf)
-    for link in tree.iter("link"):
+def _without_meshes(urdf: str) -> str:
+    """Return a description without shapes, which some tools would look for."""
+    root = ElementTree.fromstring(urdf)
+    for link in root.iter("link"):
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):
                 link.remove(shape)
-    return ElementTree.tostring(tree.getroot(), encoding="unicode")
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _assembled(
@@ -145,7 +169,7 @@ def _assembled(
     time = log["time"]
     task = Task(
         name=arm,
-        urdf=urdf,
+        urdf=_without_meshes(urdf),
         joints=tuple(robot.joint_names),
         rate_hz=float((len(time) - 1) / (time[-1] - time[0])),
         cutoff_hz=cutoff_hz,
@@ -156,7 +180,10 @@ def _assembled(
     )
     assert held.effort is not None
     parts = {k: slice(int(a), int(b)) for k, a, b in zip(pieces, ends, ends[1:], strict=False)}
-    return Record(arm, task, held.effort, np.abs(held.velocity) > STILL, parts, speeds)
+    counts = {"trained_rows": len(common.position), "held_out_rows": len(held.position)}
+    moving = np.abs(held.velocity) > STILL
+    split = {"cutoff_hz": cutoff_hz, **counts}
+    return Record(arm, task, held.effort, moving, parts, speeds, split)
 
 
 def _masses(held: Rows) -> Rows:
@@ -213,4 +240,4 @@ def without_data() -> Record:
     trained, rest = slice(0, 800, 2), slice(800, None)
     log = {"time": time[:800], "position": q[:800], "effort": tau[:800]}
     common, held = (Rows(q[k], v[k], a[k], tau[k]) for k in (trained, rest))
-    return _assembled("simulated", robot, "denso_vp6242", log, 10.0, common, held)
+    return _assembled("simulated", robot, robot.urdf, log, 10.0, common, held)

@@ -1,5 +1,31 @@
 """FIGAROH for the benchmark: its `BaseIdentification`, configured as its examples are."""
 
+# /// script
+# dependencies = [
+#   "figaroh==1.0.2",
+#   "pin==4.1.0",
+#   "numpy==2.4.6",
+#   "scipy==1.17.1",
+#   "picos==2.6.2",
+#   "cvxopt==1.3.3",
+# ]
+#
+# [tool.benchmark]
+# name = "FIGAROH"
+# wrist = true
+# methods = [
+#   "own rows, least squares",
+#   "own rows, weighted",
+#   "own rows, physical fit",
+#   "least squares",
+#   "weighted",
+#   "physical fit",
+# ]
+#
+# [tool.benchmark.bounds]
+# "physical fit" = "SDP, free friction"
+# ///
+
 from __future__ import annotations
 
 import tempfile

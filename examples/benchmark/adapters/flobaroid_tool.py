@@ -1,10 +1,47 @@
-"""FloBaRoID for the benchmark, from a checkout that FLOBAROID names.
+"""FloBaRoID for the benchmark, from a checkout.
 
 It is no package: its modules are imported from the checkout. Its settings are those that it ships
 for a KUKA LWR 4+ (`configs/kuka_lwr4.yaml`), less what belongs to that arm alone: the mass in all,
 which is that of the description instead (what it takes by itself where none is given), and the
 samples left out at the start.
 """
+
+# It asks for idyntree 15.0.0, of which PyPI has 15.1.0.
+
+# /// script
+# requires-python = ">=3.13"
+# dependencies = [
+#   "idyntree==15.1.0",
+#   "numpy==2.4.6",
+#   "scipy==1.17.1",
+#   "sympy==1.14.0",
+#   "cvxpy==1.9.3",
+#   "clarabel==0.11.1",
+#   "pyyaml==6.0.3",
+#   "colorama==0.4.6",
+#   "palettable==3.3.3",
+#   "humanize==4.15.0",
+#   "tqdm==4.70.1",
+#   "jinja2==3.1.6",
+#   "matplotlib==3.11.2",
+#   "plotly~=6.8.0",
+#   "trimesh==4.12.2",
+# ]
+#
+# [tool.benchmark]
+# name = "FloBaRoID"
+# checkout = "github.com/kjyv/FloBaRoID at 9c06804"
+# methods = [
+#   "own rows, least squares",
+#   "own rows, SDP",
+#   "least squares",
+#   "SDP",
+#   "SDP, no beliefs",
+# ]
+#
+# [tool.benchmark.bounds]
+# "SDP, no beliefs" = "SDP 6×6, tanh"
+# ///
 
 from __future__ import annotations
 
@@ -19,7 +56,7 @@ from typing import Any
 import numpy as np
 from protocol import Answer, Method, Rows, Task, inside, main
 
-FOLDER = Path(os.environ.get("FLOBAROID", "FloBaRoID"))
+FOLDER = Path(os.environ.get("CHECKOUT", ""))
 SEED = 0
 # Of its parameters of a link (m, h, xx, xy, xz, yy, yz, zz), those of `Answer.bodies`.
 ORDER = [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]

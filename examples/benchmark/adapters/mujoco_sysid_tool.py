@@ -6,6 +6,23 @@ dynamics on the common rows, weighted alike, with friction of the common terms a
 residuals, those of simulations, need windows and weights of one's own, and are left out.
 """
 
+# /// script
+# dependencies = [
+#   "mujoco[sysid]==4.0.0",
+#   "numpy==2.4.6",
+#   "scipy==1.17.1",
+# ]
+#
+# [tool.benchmark]
+# name = "mujoco.sysid"
+# methods = [
+#   "inverse dynamics",
+# ]
+#
+# [tool.benchmark.bounds]
+# "inverse dynamics" = "SDP"
+# ///
+
 from __future__ import annotations
 
 from collections.abc import Callable

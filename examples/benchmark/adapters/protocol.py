@@ -1,11 +1,16 @@
-"""What every tool of the benchmark is given, and what it answers: files, and NumPy alone.
+"""What every tool of the benchmark is given, and what it answers: folders of CSV files.
 
 A tool runs in a process of its own, with the interpreter of its own environment:
 
-    python <tool>.py task.npz method answer.npz
+    python <tool>_tool.py TASK METHOD ANSWER
 
-It fits, predicts efforts at rows of positions, velocities and accelerations whose efforts it is
-not given, and may say which bodies it found. Everything else is judged from its predictions.
+TASK is a folder with `robot.urdf` (without shapes), `task.json` (see `Task`), `log.csv` (the
+training part as it was recorded: time in s, positions in rad, efforts in N·m and, where recorded,
+velocities), `common.csv` (the same part, filtered as for every tool, with velocities and
+accelerations) and `asked.csv`: positions, velocities and accelerations whose efforts are asked
+for. Into the folder ANSWER it writes `efforts.csv`, a column a joint, and may write `bodies.csv`,
+a row a link (see `Answer`). In Python `main` reads and writes all of it; a program in another
+language does it itself. Everything is judged from these two files.
 """
 
 from __future__ import annotations
@@ -16,11 +21,12 @@ import json
 import os
 import platform
 import resource
+import shutil
 import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -30,6 +36,9 @@ import numpy as np
 # A fit that took less processor time than this is done once more, and the second one is timed:
 # the first one in a process loads libraries.
 SHORT_S = 5.0
+# All digits of a double.
+EXACT = "%.17g"
+MOTION = ("position", "velocity", "acceleration")
 
 
 @dataclass(frozen=True)
@@ -41,13 +50,6 @@ class Rows:
     acceleration: np.ndarray
     effort: np.ndarray | None = None
 
-    @classmethod
-    def of(cls, stored: Any, prefix: str) -> Rows:
-        """Return the rows that are stored under a prefix."""
-        names = ("position", "velocity", "acceleration", "effort")
-        found = [stored.get(f"{prefix}_{n}") for n in names]
-        return cls(*found)
-
 
 @dataclass(frozen=True)
 class Task:
@@ -58,7 +60,7 @@ class Task:
     name : str
         The record.
     urdf : str
-        The robot's description: the text of a URDF without shapes, or a file of it.
+        The robot's description: its text where a task is made, its file where it is read.
     joints : tuple of str
         Its joints in the order of the columns.
     rate_hz, cutoff_hz : float
@@ -84,24 +86,55 @@ class Task:
     asked: Rows
     wrist: tuple[str, ...] = ()
 
-    def write(self, path: Path) -> None:
-        """Store it without pickles."""
-        arrays: dict[str, Any] = {f"log_{k}": v for k, v in self.log.items()}
-        for prefix, rows in (("common", self.common), ("asked", self.asked)):
-            arrays |= {f"{prefix}_{k}": v for k, v in vars(rows).items() if v is not None}
-        words = {k: getattr(self, k) for k in ("name", "urdf", "joints", "wrist")}
-        words |= {"rate_hz": self.rate_hz, "cutoff_hz": self.cutoff_hz}
-        np.savez(path, words=np.array(json.dumps(words)), **arrays)
+    def write(self, folder: Path) -> None:
+        """Write the folder that a tool is given."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "robot.urdf").write_text(self.urdf, encoding="utf-8")
+        words = {k: getattr(self, k) for k in ("name", "joints", "wrist", "rate_hz", "cutoff_hz")}
+        (folder / "task.json").write_text(json.dumps(words, indent=1), encoding="utf-8")
+        for name in ("log", "common", "asked"):
+            given = getattr(self, name)
+            columns = given if name == "log" else vars(given)
+            self._write_table(folder / f"{name}.csv", columns)
+
+    def _write_table(self, path: Path, columns: Mapping[str, np.ndarray | None]) -> None:
+        kept = {kind: np.asarray(v) for kind, v in columns.items() if v is not None}
+        header = []
+        for kind, values in kept.items():
+            header += [f"{kind}_{j}" for j in self.joints] if values.ndim > 1 else [kind]
+        np.savetxt(
+            path,
+            np.column_stack([*kept.values()]),
+            EXACT,
+            delimiter=",",
+            header=",".join(header),
+            comments="",
+        )
 
     @classmethod
-    def read(cls, path: Path) -> Task:
-        """Read what `write` stored."""
-        with np.load(path, allow_pickle=False) as stored:
-            words = json.loads(str(stored["words"]))
-            log = {k[4:]: stored[k] for k in stored.files if k.startswith("log_")}
-            common, asked = Rows.of(stored, "common"), Rows.of(stored, "asked")
+    def read(cls, folder: Path) -> Task:
+        """Read what `write` wrote."""
+        words = json.loads((folder / "task.json").read_text(encoding="utf-8"))
         words["joints"], words["wrist"] = tuple(words["joints"]), tuple(words["wrist"])
-        return cls(log=log, common=common, asked=asked, **words)
+        tables = {name: _table(folder / f"{name}.csv") for name in ("log", "common", "asked")}
+        return cls(
+            urdf=str(folder / "robot.urdf"),
+            log=tables["log"],
+            common=Rows(**tables["common"]),
+            asked=Rows(**tables["asked"]),
+            **words,
+        )
+
+
+def _table(path: Path) -> dict[str, np.ndarray]:
+    """Return the columns of a table by their kind, those of the joints together."""
+    with path.open(encoding="utf-8") as file:
+        kinds = [name.partition("_")[0] for name in file.readline().strip().split(",")]
+        values = np.loadtxt(file, delimiter=",", ndmin=2)
+    found = {kind: values[:, [k == kind for k in kinds]] for kind in dict.fromkeys(kinds)}
+    if "time" in found:
+        found["time"] = found["time"][:, 0]
+    return found
 
 
 @dataclass(frozen=True)
@@ -152,21 +185,18 @@ def _timed(method: Method, task: Task) -> tuple[Answer, float, float]:
     return answer, time.perf_counter() - start, _used() - used
 
 
-def main(methods: Mapping[str, Method], libraries: tuple[str, ...]) -> int:
+def main(methods: Mapping[str, Method], libraries: tuple[str, ...] = ()) -> None:
     """Answer one task by one method; the answer says what failed, if something did."""
-    task_file, name, answer_file = sys.argv[1:]
-    task = Task.read(Path(task_file))
-    if task.urdf.lstrip().startswith("<"):
-        # A file of its own: tools may write beside it.
-        urdf = Path(answer_file).with_suffix(".urdf").resolve()
-        urdf.write_text(task.urdf, encoding="utf-8")
-        task = replace(task, urdf=str(urdf))
+    given, name, answered = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
+    # Tools may write beside the description.
+    for file in given.iterdir():
+        shutil.copy(file, answered)
+    task = Task.read(answered.resolve())
     versions = {"python": platform.python_version()}
     for library in (*libraries, "numpy"):
         with contextlib.suppress(PackageNotFoundError):
             versions[library] = version(library)
     said: dict[str, Any] = {"versions": versions, "failure": "", "status": ""}
-    arrays: dict[str, np.ndarray] = {}
     try:
         # What tools print is theirs; only a failure is kept.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -175,14 +205,15 @@ def main(methods: Mapping[str, Method], libraries: tuple[str, ...]) -> int:
                 answer, wall, used = _timed(methods[name], task)
             said |= {"wall_s": wall, "cpu_s": used, "status": answer.status}
             said["facts"] = dict(answer.facts)
-            arrays["predicted"] = np.asarray(answer.predict(task.asked))
+            efforts = np.asarray(answer.predict(task.asked))
+        np.savetxt(answered / "efforts.csv", efforts, EXACT, delimiter=",")
         if answer.bodies is not None:
-            arrays["bodies"] = np.asarray(answer.bodies)
+            np.savetxt(answered / "bodies.csv", answer.bodies, EXACT, delimiter=",")
     except (Exception, SystemExit) as wrong:
         words = str(wrong).strip().splitlines() or [""]
         said["failure"] = f"{type(wrong).__name__}: {words[0]}"
         traceback.print_exc()
-    np.savez(answer_file, said=np.array(json.dumps(said)), **arrays)
+    (answered / "said.json").write_text(json.dumps(said), encoding="utf-8")
     sys.stdout.flush()
     # Libraries with threads of their own may not end by themselves.
     os._exit(0)

@@ -1,5 +1,28 @@
 """Methods of sdpid for the benchmark."""
 
+# /// script
+# [tool.benchmark]
+# name = "sdpid"
+# wrist = true
+# methods = [
+#   "own rows, defaults",
+#   "SDP",
+#   "SDP, free friction",
+#   "SDP 6×6, tanh",
+#   "least squares",
+#   "least squares, tanh",
+#   "SLSQP",
+#   "log-Cholesky",
+# ]
+#
+# [tool.benchmark.bounds]
+# "SDP" = "SDP"
+# "SDP, free friction" = "SDP, free friction"
+# "SDP 6×6, tanh" = "SDP 6×6, tanh"
+# "SLSQP" = "SDP"
+# "log-Cholesky" = "SDP"
+# ///
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -88,10 +111,9 @@ def _on_common(
 
 
 METHODS: dict[str, Method] = {
-    "defaults": defaults,
+    "own rows, defaults": defaults,
     "least squares": _on_common(sdpid.solve_wls),
     "least squares, tanh": _on_common(sdpid.solve_wls, coulomb=TANH),
-    "ridge": _on_common(sdpid.solve_wls, weighting="residual", prior=sdpid.Prior()),
     "SDP": _on_common(sdpid.solve_sdp, certified=True),
     # What two peers solve: friction of any sign; besides, the 6×6 inequality and Coulomb friction
     # as a tanh. FloBaRoID bounds viscous friction, so its optimum lies above this bound.
@@ -102,10 +124,6 @@ METHODS: dict[str, Method] = {
         coulomb=TANH,
         signed=False,
         consistency="spatial_inertia",
-    ),
-    "SDP, tanh": _on_common(sdpid.solve_sdp, coulomb=TANH),
-    "SDP, weights and prior": _on_common(
-        sdpid.solve_sdp, weighting="residual", prior=sdpid.Prior()
     ),
     "SLSQP": _on_common(lambda problem: sdpid.solve_slsqp(problem, seed=0)),
     "log-Cholesky": _on_common(lambda problem: sdpid.solve_log_cholesky(problem, seed=0)),

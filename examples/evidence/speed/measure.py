@@ -4,8 +4,8 @@
 
 Times depend on the machine, so all are ratios to a reference timed in the same repeat: the
 median over the repeats, and the smallest and the largest. Linear algebra has as many threads as
-OPENBLAS_NUM_THREADS says. Each part writes a table of its name. Without a part all are measured,
-FIGAROH where an environment with it is given.
+OPENBLAS_NUM_THREADS says. Each part writes a table of its name. Without a part all are measured.
+Other tools' times are in docs/evidence/benchmark.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from importlib.metadata import version
 import commands
 import jobs
 import kernels
-import peers
 import solvers
 from harness import RATIOS, Bench
 
@@ -33,7 +32,6 @@ PARTS: dict[str, Callable[[Bench], Iterable[tuple[object, ...]] | Table]] = {
     "hour": jobs.hour,
     "cluster": jobs.scaling,
     "small_problems": solvers.small_problems,
-    "peers": peers.measure,
 }
 
 
@@ -45,7 +43,6 @@ def main() -> None:
         quick={"repeat": 1},
         parts=([*PARTS], "what is measured"),
         repeat=(5, "fewer have no spread worth printing"),
-        figaroh_python=(None, "interpreter of an environment with figaroh"),
         before=(None, "checkout of earlier code, for commands"),
     )
     libraries = ("numpy", "scipy", "pin", "clarabel", "numba")
