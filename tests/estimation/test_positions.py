@@ -12,9 +12,9 @@ import sdpid
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.positions.choose import CONSTANTS, choose_forward
 from sdpid.estimation.positions.drives import UNITS, DriveNumbers
-from sdpid.estimation.positions.fit import fit_positions
-from sdpid.estimation.positions.rollout import Followed, Stiction
-from sdpid.experiment.simulation.law import Told
+from sdpid.estimation.positions.fit import SolvedRollouts, fit_positions
+from sdpid.estimation.positions.rollout import CommandedLog, Stiction
+from sdpid.experiment.simulation.law import DriveCommands
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -66,9 +66,15 @@ def drives(**rows):
 def followed(time, position, command, **changes):
     """A log of positions under held commands."""
     limit = np.full(N, np.inf)
-    told = Told(command=command, feedforward=0.0 * command, limit=limit, held=True, note="")
-    return Followed(
-        time=time, position=position, step=H, stiction=Stiction.mujoco(), **{"told": told} | changes
+    commands = DriveCommands(
+        command=command, feedforward=0.0 * command, limit=limit, held=True, note=""
+    )
+    return CommandedLog(
+        time=time,
+        position=position,
+        step=H,
+        stiction=Stiction.mujoco(),
+        **{"commands": commands} | changes,
     )
 
 
@@ -89,16 +95,16 @@ def simulated(model, told, start, limit=np.inf):
 def test_rollout_is_that_of_mujoco(legs, limit):
     model, links = legs
     time, command = commanded(4.0)
-    told = Told(
+    commands = DriveCommands(
         command=command,
         feedforward=0.0 * command,
         limit=np.full(N, limit),
         held=True,
         note="",
     )
-    rollout = followed(time, command, command, told=told).rollout(links)
+    rollout = followed(time, command, command, commands=commands).rollout(links)
     start = np.stack([command[0], np.zeros(N)])
-    reference = simulated(model, rollout.told(0.006)[0], start, limit)
+    reference = simulated(model, rollout.commands(0.006)[0], start, limit)
     noise = 1e-3 * np.random.default_rng(0).standard_normal(reference.shape)
     motion = rollout.run(drives(delay=0.006), start, (reference + noise)[: rollout.count + 1])
     assert motion.converged
@@ -137,12 +143,14 @@ def test_fit_finds_drives_and_delay(legs):
     time, command = commanded(6.0)
     rollout = followed(time, command, command).rollout(links)
     start = np.stack([command[0], np.zeros(N)])
-    truth = simulated(model, rollout.told(0.007)[0], start)
+    truth = simulated(model, rollout.commands(0.007)[0], start)
     grid = H * np.arange(len(truth))
     position = np.stack([np.interp(time, grid, truth[:, j]) for j in range(N)], axis=1)
     position += 1e-4 * np.random.default_rng(0).standard_normal(position.shape)
     begin = drives(armature=0.02, damping=0.1, friction=0.1)
-    fit = fit_positions([followed(time, position, command).rollout(links)], begin, CONSTANTS)
+    fit = fit_positions(
+        SolvedRollouts.of([followed(time, position, command).rollout(links)], begin), CONSTANTS
+    )
     assert fit.rms < 1.05e-4
     assert abs(fit.drives.delay - 0.007) < 1e-4
     assert np.abs(fit.drives["armature"] - 0.01).max() < 5e-4
@@ -175,4 +183,7 @@ def test_refusals(legs):
     with pytest.raises(DataError, match=r"has 3 s; .* needs 4\.3 s"):
         choose_forward([followed(time, command, command)], links, drives())
     with pytest.raises(SolverError, match="does not follow its commands"):
-        fit_positions([followed(time, command, command).rollout(links)], drives(kp=-2e3), CONSTANTS)
+        fit_positions(
+            SolvedRollouts.of([followed(time, command, command).rollout(links)], drives(kp=-2e3)),
+            CONSTANTS,
+        )

@@ -16,7 +16,7 @@ from sdpid.estimation.positions.fit import (
     conditional,
     fit_positions,
 )
-from sdpid.estimation.positions.rollout import Followed, LawRollout
+from sdpid.estimation.positions.rollout import CommandedLog, LawRollout
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Kinds of numbers that are free, and those that are tried beside them, one after the other.
@@ -76,7 +76,7 @@ class ForwardChoice:
     correlation: float
 
 
-def split(log: Followed) -> tuple[list[slice], slice]:
+def split(log: CommandedLog) -> tuple[list[slice], slice]:
     """Return the slower rows, in one or two pieces, and the faster ones.
 
     Raises
@@ -100,7 +100,7 @@ def split(log: Followed) -> tuple[list[slice], slice]:
 
 
 def choose_forward(
-    logs: Sequence[Followed],
+    logs: Sequence[CommandedLog],
     links: RobotDynamics,
     drives: DriveNumbers,
     *,
@@ -111,7 +111,7 @@ def choose_forward(
 
     Parameters
     ----------
-    logs : sequence of Followed
+    logs : sequence of CommandedLog
         The logs.
     links : RobotDynamics
         The robot and the inertia of its links.
@@ -131,13 +131,12 @@ def choose_forward(
     judges = [log.rollout(links, fast) for log, (_, fast) in zip(logs, parts, strict=True)]
     errors: dict[tuple[str, ...], float] = {}
     start = drives if delay is None else replace(drives, delay=delay)
-    fit = best = fit_positions(training, start, tuple(rows), delay=delay is None, fall=ROUGH)
+    how: dict[str, Any] = {"delay": delay is None, "fall": ROUGH}
+    fit = best = fit_positions(SolvedRollouts.of(training, start), rows, **how)
     errors[fit.unknowns.rows] = judged(judges, fit.drives)
     for k in range(1, len(RICHER) + 1):
         kinds = (*rows, *RICHER[:k])
-        fit = fit_positions(
-            training, fit.drives, kinds, delay=delay is None, starts=fit.starts, fall=ROUGH
-        )
+        fit = fit_positions(fit, kinds, **how)
         errors[kinds] = judged(judges, fit.drives)
         better = errors[kinds] < (1.0 - _WORTH) * errors[best.unknowns.rows]
         # Where encoders' noise is all that is left, a share of it says little.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -29,11 +29,29 @@ _RIDGE = 1e-9
 _BLOCKS, _LEAST_BLOCK = 10, 0.3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SolvedRollouts:
-    """Motions of rollouts for some numbers, and what they miss of the positions."""
+    """Motions of rollouts for some numbers, and what they miss of the positions.
 
+    Attributes
+    ----------
+    rollouts : sequence of LawRollout
+        Stretches of logs of one robot.
+    drives : DriveNumbers
+        The numbers.
+    starts : sequence of ndarray, shape (2, n)
+        Position and velocity at the start of every motion.
+    motions : list of SolvedMotion
+        The motions.
+    missed : list of ndarray, shape (N, n)
+        Measured less solved positions, rad (m).
+    cost : float
+        Sum of squared errors of position, rad² (m²); infinite where a motion was not solved.
+    """
+
+    rollouts: Sequence[LawRollout]
     drives: DriveNumbers
+    starts: Sequence[Array]
     motions: list[SolvedMotion]
     missed: list[Array]
     cost: float
@@ -46,9 +64,11 @@ class SolvedRollouts:
         starts: Sequence[Array] | None = None,
         near: SolvedRollouts | None = None,
     ) -> SolvedRollouts:
-        """Solve the motions, from those of numbers nearby where there are any."""
-        if starts is None:
-            starts = [each.start() for each in rollouts]
+        """Solve the motions, from those of numbers nearby where there are any.
+
+        They start as given, or as the first samples say.
+        """
+        starts = [each.start() for each in rollouts] if starts is None else starts
         guesses = [None] * len(rollouts) if near is None else [m.position for m in near.motions]
         motions = [
             each.run(drives, start, guess)
@@ -57,19 +77,38 @@ class SolvedRollouts:
         missed = [r.measured - r.positions(m) for r, m in zip(rollouts, motions, strict=True)]
         cost = float(sum(np.sum(each**2) for each in missed))
         solved = all(each.converged for each in motions) and np.isfinite(cost)
-        return cls(drives, motions, missed, cost if solved else np.inf)
+        return cls(
+            rollouts=rollouts,
+            drives=drives,
+            starts=starts,
+            motions=motions,
+            missed=missed,
+            cost=cost if solved else np.inf,
+        )
+
+    @property
+    def size(self) -> int:
+        """How many positions there are."""
+        return sum(each.size for each in self.missed)
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared error of position, rad (m)."""
+        return float(np.sqrt(self.cost / self.size))
+
+    @property
+    def correlation(self) -> float:
+        """Correlation of residuals one row apart: of encoder noise alone it is 0."""
+        products = sum(float(np.sum(e[1:] * e[:-1])) for e in self.missed)
+        return products / max(self.cost, np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PositionFit:
-    """Drives fitted to positions.
+class PositionFit(SolvedRollouts):
+    """The best drives and starts that were found.
 
     Attributes
     ----------
-    solved : SolvedRollouts
-        The motions of the best numbers found.
-    starts : tuple of ndarray, shape (2, n)
-        Position and velocity at the start of every motion.
     unknowns : Unknowns
         What was free.
     information : ndarray, shape (k, k)
@@ -82,39 +121,11 @@ class PositionFit:
         Unknowns that are at no bound.
     """
 
-    solved: SolvedRollouts
-    starts: tuple[Array, ...]
     unknowns: Unknowns
     information: Array
     gradient: Array
     scores: Array
     within: Mask
-
-    @property
-    def drives(self) -> DriveNumbers:
-        """The best numbers found."""
-        return self.solved.drives
-
-    @property
-    def cost(self) -> float:
-        """Sum of squared errors of position, rad² (m²)."""
-        return self.solved.cost
-
-    @property
-    def size(self) -> int:
-        """How many positions there are."""
-        return sum(each.size for each in self.solved.missed)
-
-    @property
-    def rms(self) -> float:
-        """Root of the mean squared error of position, rad (m)."""
-        return float(np.sqrt(self.cost / self.size))
-
-    @property
-    def correlation(self) -> float:
-        """Correlation of residuals one row apart: of encoder noise alone it is 0."""
-        products = sum(float(np.sum(e[1:] * e[:-1])) for e in self.solved.missed)
-        return products / max(self.cost, np.finfo(float).tiny)
 
     @property
     def covariance(self) -> Array:
@@ -127,12 +138,10 @@ class PositionFit:
 
 
 def fit_positions(
-    rollouts: Sequence[LawRollout],
-    drives: DriveNumbers,
+    begin: SolvedRollouts,
     rows: Sequence[str],
     *,
     delay: bool = True,
-    starts: Sequence[Array] | None = None,
     held: bool = False,
     fall: float = FALL,
 ) -> PositionFit:
@@ -140,16 +149,12 @@ def fit_positions(
 
     Parameters
     ----------
-    rollouts : sequence of LawRollout
-        Stretches of logs of one robot.
-    drives : DriveNumbers
+    begin : SolvedRollouts
         Where to begin, and the values of what is not free.
     rows : sequence of str
         Kinds of numbers that are free.
     delay : bool
         Whether the delay is.
-    starts : sequence of ndarray, shape (2, n), optional
-        Where the motions begin; by default as the first samples say.
     held : bool
         Whether the delay stays where it is, though it counts as unknown.
     fall : float
@@ -160,27 +165,26 @@ def fit_positions(
     SolverError
         When the robot cannot follow from the numbers given.
     """
-    n = len(drives.middle)
-    unknowns = Unknowns(rows=tuple(rows), delay=delay, motions=len(rollouts), n=n)
+    drives, n = begin.drives, len(begin.drives.middle)
+    unknowns = Unknowns(rows=tuple(rows), delay=delay, motions=len(begin.rollouts), n=n)
     low, high = unknowns.bounds()
     if held:
         low[len(rows) * n] = high[len(rows) * n] = drives.delay
-    first = [each.start() for each in rollouts] if starts is None else starts
-    x = np.clip(unknowns.pack(drives, first), low, high)
-    state = SolvedRollouts.of(rollouts, *unknowns.unpack(x, drives))
+
+    def solved(x: Array, near: SolvedRollouts) -> SolvedRollouts:
+        return SolvedRollouts.of(begin.rollouts, *unknowns.unpack(x, drives), near)
+
+    given = unknowns.pack(drives, begin.starts)
+    x = np.clip(given, low, high)
+    state = begin if np.array_equal(x, given) else solved(x, begin)
     if not np.isfinite(state.cost):
         raise SolverError(
             "fit of positions: the robot does not follow its commands under this law and these "
             "links; check the gains' units (N.m/rad, N.m.s/rad) and signs, and that the commands "
             "are those of this log, in rad."
         )
-
-    def columns(k: int) -> Columns:
-        motion, now = state.motions[k], state.drives
-        for joints, J in rollouts[k].columns(motion, now, unknowns.rows, unknowns.delay):
-            yield joints, J, unknowns.at(k, joints)
-
-    H, g, scores = normal_equations(rollouts, state, unknowns.count, columns)
+    what = unknowns.rows, delay, unknowns.count, unknowns.at
+    H, g, scores = normal_equations(state, *what)
     damping = _DAMPING
     for _ in range(_ROUNDS):
         step = _bounded_step(H, g, damping, low - x, high - x)
@@ -188,7 +192,7 @@ def fit_positions(
         if expected < fall * state.cost:
             break
         there = np.clip(x + step, low, high)
-        trial = SolvedRollouts.of(rollouts, *unknowns.unpack(there, drives), state)
+        trial = solved(there, state)
         if not trial.cost < state.cost:
             damping *= 10.0
             if damping > _MOST_DAMPING:
@@ -197,10 +201,9 @@ def fit_positions(
         gained = state.cost - trial.cost
         damping *= 0.1 if gained > 0.5 * expected else 0.5
         x, state = there, trial
-        H, g, scores = normal_equations(rollouts, state, unknowns.count, columns)
+        H, g, scores = normal_equations(state, *what)
     return PositionFit(
-        solved=state,
-        starts=tuple(unknowns.unpack(x, drives)[1]),
+        **{each.name: getattr(state, each.name) for each in fields(SolvedRollouts)},
         unknowns=unknowns,
         information=H,
         gradient=g,
@@ -224,27 +227,31 @@ def conditional(fit: PositionFit, delay: float) -> tuple[DriveNumbers, float]:
     return unknowns.unpack(found, fit.drives)[0], error
 
 
-# Of one rollout: joints, derivatives of their positions, and which numbers these are by (−1: none).
-Columns = Iterable[tuple[Indices, Array, Indices]]
-
-
 def normal_equations(
-    rollouts: Sequence[LawRollout],
     solved: SolvedRollouts,
+    rows: Sequence[str],
+    delay: bool,
     count: int,
-    columns: Callable[[int], Columns],
+    at: Callable[[int, Indices], Indices],
+    regressor: Callable[[SolvedMotion], Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return JᵀJ, Jᵀe, and the sums of Jᵀe over blocks of rows, (blocks, count)."""
+    """Return JᵀJ, Jᵀe, and the sums of Jᵀe over blocks of rows, (blocks, count).
+
+    `at` says which numbers the columns of a motion's joints are by (−1: none). With a regressor
+    these are those of links, too; else as in `LawRollout.columns`.
+    """
     H, scores = np.zeros((count, count)), []
-    for k, (rollout, e) in enumerate(zip(rollouts, solved.missed, strict=True)):
-        starts = _block_starts(rollout)
+    for k, (rollout, motion) in enumerate(zip(solved.rollouts, solved.motions, strict=True)):
+        starts, e = _block_starts(rollout), solved.missed[k]
         score = np.zeros((len(starts), count))
-        for joints, every, where in columns(k):
-            J, at = every[:, :, where >= 0], where[where >= 0]
-            flat = J.reshape(-1, len(at))
-            H[np.ix_(at, at)] += flat.T @ flat
+        Y = None if regressor is None else regressor(motion)
+        for joints, every in rollout.columns(motion, solved.drives, rows, delay, Y):
+            where = at(k, joints)
+            J, where = every[:, :, where >= 0], where[where >= 0]
+            flat = J.reshape(-1, len(where))
+            H[np.ix_(where, where)] += flat.T @ flat
             moved = np.einsum("tik,ti->tk", J, e[:, joints])
-            score[:, at] += np.add.reduceat(moved, starts, axis=0)
+            score[:, where] += np.add.reduceat(moved, starts, axis=0)
         scores.append(score)
     every_score = np.concatenate(scores)
     return H, every_score.sum(axis=0), every_score

@@ -36,13 +36,13 @@ from sdpid.estimation.positions.links import (
     theta_with,
     with_links,
 )
-from sdpid.estimation.positions.rollout import Followed, Stiction
+from sdpid.estimation.positions.rollout import CommandedLog, Stiction
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.controllers import PD
-from sdpid.experiment.simulation.law import Told, with_efforts_of_law
+from sdpid.experiment.simulation.law import DriveCommands, with_efforts_of_law
 from sdpid.robot.friction.posed import PositionFriction
 from sdpid.robot.model.model import RobotModel
 
@@ -446,10 +446,10 @@ def fit_law(
     problem, stiction = estimate.problem, Stiction.mujoco()
     followed, others = (
         [
-            Followed(
+            CommandedLog(
                 time=np.array(log.time),
                 position=np.array(log.position),
-                told=Told.of(log, law),
+                commands=DriveCommands.of(log, law),
                 step=STEP,
                 stiction=stiction,
             )
@@ -466,40 +466,39 @@ def fit_law(
     rollouts = [each.rollout(links_of(problem, estimate.some_theta)) for each in followed]
     fixed, kinds = law.delay, CONSTANTS if law.kp is not None else (*CONSTANTS, "kp")
 
-    def fitted(numbers: DriveNumbers, rows: Sequence[str], **how: Any) -> PositionFit:
-        return fit_positions(
-            rollouts, numbers, rows, **{"delay": fixed is None, "fall": _ROUGHER} | how
-        )
+    def fitted(begin: SolvedRollouts, rows: Sequence[str], **how: Any) -> PositionFit:
+        return fit_positions(begin, rows, **{"delay": fixed is None, "fall": _ROUGHER} | how)
 
     begun = [
-        fitted(replace(drives, delay=d), kinds) for d in (_STARTS if fixed is None else (fixed,))
+        fitted(SolvedRollouts.of(rollouts, replace(drives, delay=d)), kinds)
+        for d in (_STARTS if fixed is None else (fixed,))
     ]
-    best, rich = min(begun, key=lambda each: each.cost), (*kinds, *RICHER)
     # With the richest friction, so that links need not make up for what it lacks.
-    fit = fitted(best.drives, rich, starts=best.starts)
+    fit = fitted(min(begun, key=lambda each: each.cost), rich := (*kinds, *RICHER))
     for _ in range(_MOST_STEPS):
         before = fit.rms
-        estimate, rollouts, drives, starts = with_links(estimate, rollouts, fit)
-        fit = fitted(drives, rich, starts=starts)
+        estimate, moved = with_links(estimate, fit)
+        fit = fitted(moved, rich)
         if fit.rms > (1.0 - _FELL) * before:
             break
-    begin = fit.drives.with_rows(slope=0.0, curve=0.0)
     links = links_of(problem, estimate.some_theta)
+    begin = fit.drives.with_rows(slope=0.0, curve=0.0)
     choice, slow = choose_forward(followed, links, begin, rows=kinds, delay=fixed)
     complete = choice.correlation < WHITE
     held = fixed is None and not complete
     found = conditional(slow, choice.delay)[0] if held else slow.drives
-    fit = fitted(found, choice.rows, held=held, fall=ROUGH if held else FALL)
+    begin_whole = SolvedRollouts.of(fit.rollouts, found, near=fit)
+    fit = fitted(begin_whole, choice.rows, held=held, fall=ROUGH if held else FALL)
     for _ in range(_POLISHED if complete else 0):
-        estimate, rollouts, found, starts = with_links(estimate, rollouts, fit)
-        fit = fitted(found, choice.rows, starts=starts, fall=FALL)
-    normal = JointNormal.of(problem, rollouts, fit)
+        estimate, moved = with_links(estimate, fit)
+        fit = fitted(moved, choice.rows, fall=FALL)
+    normal = JointNormal.of(problem, fit)
     covariance, interval = _delay_interval(normal, estimate, choice, held)
     reduced = fit.drives.with_rows(
         friction=fit.drives.dry(where).mean(axis=0), slope=0.0, curve=0.0
     )
-    own = np.concatenate(fit.solved.missed)
-    constant = SolvedRollouts.of(rollouts, reduced, fit.starts).missed
+    own = np.concatenate(fit.missed)
+    constant = SolvedRollouts.of(fit.rollouts, reduced, fit.starts).missed
     speed = np.sqrt(
         np.mean(np.concatenate([np.gradient(x.position, x.time, axis=0) for x in followed]) ** 2, 0)
     )
@@ -524,7 +523,7 @@ def fit_law(
         speed=speed,
         along=_along(fit, fixed, where),
         convex=estimate,
-        notes=tuple(dict.fromkeys(each.told.note for each in followed)),
+        notes=tuple(dict.fromkeys(each.commands.note for each in followed)),
         warnings=tuple(_contradictions(fitted, fit, law, problem.robot.joint_names)),
         validated=judged(fresh, fit.drives) if fresh else None,
     )
@@ -618,10 +617,10 @@ def _contradictions(
     told: list[tuple[float, str]] = []
     for what, how in trials.items():
         try:
-            free = fitted(given, starts=fit.starts, fall=_GLANCE, **how)
+            free = fitted(fit, fall=_GLANCE, **how)
             if free.cost > (1.0 - 0.5 * _WRONG) * fit.cost:
                 continue
-            free = fitted(free.drives, starts=free.starts, fall=FALL, **how)
+            free = fitted(free, fall=FALL, **how)
         except SolverError:
             continue
         names, deviations = free.unknowns.names, np.sqrt(np.diag(free.covariance))

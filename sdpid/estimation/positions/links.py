@@ -9,24 +9,22 @@ optimum is consistent. Its dual bounds what any such step could still gain.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_rows
 from sdpid.estimation.positions.drives import ROW, DriveNumbers, Unknowns
 from sdpid.estimation.positions.fit import (
-    Columns,
     PositionFit,
     SolvedRollouts,
     normal_equations,
     scaled_inverse,
 )
-from sdpid.estimation.positions.rollout import LawRollout
+from sdpid.estimation.positions.rollout import SolvedMotion
 from sdpid.estimation.posterior import prior_rows
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -95,30 +93,28 @@ class JointNormal:
     variance: float
 
     @classmethod
-    def of(cls, problem: Problem, rollouts: Sequence[LawRollout], fit: PositionFit) -> JointNormal:
+    def of(cls, problem: Problem, fit: PositionFit) -> JointNormal:
         """Gather them at a fit."""
-        base, drives = problem.base, fit.drives
+        base = problem.base
         more = tuple(kind for kind in fit.unknowns.rows if kind not in SYMBOLS.values())
         unknowns = replace(fit.unknowns, rows=more)
         # Where parameters stand among the base parameters; −1 for those that are none.
         place = np.full(problem.n_theta, -1)
         place[base.kept] = np.arange(base.count)
         own = {name: k for k, name in enumerate(base.theta_names)}
-        kinds = (*SYMBOLS.values(), *more)
 
-        def columns(k: int) -> Columns:
-            motion = fit.solved.motions[k]
+        def at(k: int, joints: Indices) -> Indices:
+            friction = [place[own[f"{s}{j + 1}"]] for s in SYMBOLS for j in joints]
+            links = place[(10 * joints[:, None] + np.arange(10)).ravel()]
+            return np.concatenate([friction, base.count + unknowns.at(k, joints), links])
+
+        def regressor(motion: SolvedMotion) -> Array:
             states = motion.position[:-1], motion.velocity[:-1], motion.acceleration
             size = len(motion.acceleration) * problem.robot.n * 10 * problem.robot.n_links
-            Y = problem.robot.regressor_columns(*states, compiled=8 * size >= _LARGE)
-            for joints, J in rollouts[k].columns(motion, drives, kinds, unknowns.delay, Y):
-                friction = [place[own[f"{s}{j + 1}"]] for s in SYMBOLS for j in joints]
-                links = place[(10 * joints[:, None] + np.arange(10)).ravel()]
-                others = base.count + unknowns.at(k, joints)
-                yield joints, J, np.concatenate([friction, others, links])
+            return problem.robot.regressor_columns(*states, compiled=8 * size >= _LARGE)
 
-        size = base.count + unknowns.count
-        H, g, scores = normal_equations(rollouts, fit.solved, size, columns)
+        kinds, size = (*SYMBOLS.values(), *more), base.count + unknowns.count
+        H, g, scores = normal_equations(fit, kinds, unknowns.delay, size, at, regressor)
         seen = np.diag(H) > 1e-12 * np.diag(H).max()
         spread = np.sum((scores - scores.mean(axis=0)) ** 2, axis=0)[seen] / np.diag(H)[seen]
         variance = max(float(np.median(spread)), fit.cost / fit.size)
@@ -213,10 +209,8 @@ class JointNormal:
         return found[np.ix_(at, at)], moves[at]
 
 
-def with_links(
-    estimate: Estimate, rollouts: list[LawRollout], fit: PositionFit
-) -> tuple[Estimate, list[LawRollout], DriveNumbers, Sequence[Array]]:
-    """Return better links, rollouts with them, and drives and starts to go on from.
+def with_links(estimate: Estimate, fit: PositionFit) -> tuple[Estimate, SolvedRollouts]:
+    """Return better links, and rollouts with them to go on from, with drives and starts as suit.
 
     Where a convex step finds none, all is returned as it is.
 
@@ -224,24 +218,20 @@ def with_links(
     ----------
     estimate : Estimate
         The links, their constraints and prior.
-    rollouts : list of LawRollout
-        With these links.
     fit : PositionFit
-        Their fit.
+        Of rollouts with these links.
     """
     problem = estimate.problem
     here = theta_with(problem, estimate.some_theta, fit.drives)
-    normal = JointNormal.of(problem, rollouts, fit)
+    normal = JointNormal.of(problem, fit)
     found, others = normal.step(here)
     x, (low, high) = normal.unknowns.pack(fit.drives, fit.starts), normal.unknowns.bounds()
     for share in _SHARES if found.status == "optimal" else ():
         there = here + share * (found.some_theta - here)
-        own = [each.log.rollout(links_of(problem, there)) for each in rollouts]
+        own = [each.log.rollout(links_of(problem, there)) for each in fit.rollouts]
         moved = np.clip(x + share * others, low, high)
         drives, starts = normal.unknowns.unpack(moved, fit.drives)
-        drives = drives_with(problem, there, drives)
-        squares = SolvedRollouts.of(own, drives, starts).cost
-        if normal.cost(there, squares) < normal.cost(here, fit.cost):
-            better = Estimate.of_theta(problem, there, method="positions", status="given")
-            return better, own, drives, starts
-    return estimate, rollouts, fit.drives, fit.starts
+        trial = SolvedRollouts.of(own, drives_with(problem, there, drives), starts)
+        if normal.cost(there, trial.cost) < normal.cost(here, fit.cost):
+            return Estimate.of_theta(problem, there, method="positions", status="given"), trial
+    return estimate, fit

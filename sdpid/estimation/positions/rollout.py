@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.estimation.positions.drives import DriveNumbers
 from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
-from sdpid.experiment.simulation.law import Told
+from sdpid.experiment.simulation.law import DriveCommands
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Newton's rounds end after a move of no position by more (rad or m): the next one is a hundredth of
@@ -73,7 +73,7 @@ class SolvedMotion:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Followed:
+class CommandedLog:
     """A log of positions and what its drives were told, for rollouts over parts of it.
 
     Attributes
@@ -82,7 +82,7 @@ class Followed:
         Time stamps, s.
     position : ndarray, shape (N, n)
         Measured positions, rad (m).
-    told : Told
+    commands : DriveCommands
         Commands, added efforts and limits.
     step : float
         Length of a step, s: velocities are updated first, then positions by the new velocities.
@@ -92,15 +92,15 @@ class Followed:
 
     time: Array
     position: Array
-    told: Told
+    commands: DriveCommands
     step: float
     stiction: Stiction
 
     def rollout(self, links: RobotDynamics, part: slice = slice(None)) -> LawRollout:
         """Return a rollout over rows of the log."""
-        command, added = self.told.command[part], self.told.feedforward[part]
-        told = replace(self.told, command=command, feedforward=added)
-        rows = replace(self, time=self.time[part], position=self.position[part], told=told)
+        command, added = self.commands.command[part], self.commands.feedforward[part]
+        commands = replace(self.commands, command=command, feedforward=added)
+        rows = replace(self, time=self.time[part], position=self.position[part], commands=commands)
         return LawRollout(links, rows)
 
 
@@ -111,11 +111,11 @@ class LawRollout:
     ----------
     links : RobotDynamics
         The robot and the inertia of its links; friction terms must be none.
-    log : Followed
+    log : CommandedLog
         The log.
     """
 
-    def __init__(self, links: RobotDynamics, log: Followed) -> None:
+    def __init__(self, links: RobotDynamics, log: CommandedLog) -> None:
         self.links, self.log, self.measured, self.step = links, log, log.position, log.step
         self._time, step = log.time - log.time[0], log.step
         self.count = int(np.floor(self._time[-1] / step + 1e-9))
@@ -124,8 +124,8 @@ class LawRollout:
             [np.interp(self._grid, self._time, column) for column in log.position.T], axis=1
         )
         self._commands, self._added = (
-            _integral(self._time, values, held=log.told.held)
-            for values in (log.told.command, log.told.feedforward)
+            _integral(self._time, values, held=log.commands.held)
+            for values in (log.commands.command, log.commands.feedforward)
         )
         smooth = self._smooth()
         slopes = inverse_dynamics_slopes(links, *smooth)
@@ -143,23 +143,27 @@ class LawRollout:
         """Solve the motion from a start (2, n); `guess` are positions (K + 1, n) to begin at."""
         h, n = self.step, len(drives.middle)
         q = (self._guess if guess is None else guess).copy()
-        command, feedforward = self.told(drives.delay)
+        command, feedforward = self.commands(drives.delay)
         armature, damping, kp, kd = (drives[k] for k in ("armature", "damping", "kp", "kd"))
+        limit, rule = self.log.commands.limit, self.log.stiction
         weight = 1.0 / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
-        stiff = self.log.stiction.stiffness * weight
+        stiff = rule.stiffness * weight
         mobility = np.empty((self.count, n))
-        blocks = []
+        # Of each tree its joints, the blocks of steps k, k − 1 and k − 2 that no state of friction
+        # changes, and what acts within a step beside friction.
+        trees = []
         for joints, (by_position, by_velocity, masses) in zip(
             self._components, self._slopes, strict=True
         ):
             E = np.eye(len(joints))
             masses = masses + E * armature[joints]
-            inverse = np.linalg.inv(masses + h * damping[joints] * E)
-            mobility[:, joints] = np.einsum("kii->ki", inverse)
+            mobility[:, joints] = diagonals(np.linalg.inv(masses + h * damping[joints] * E))
             undamped = np.broadcast_to(E, masses.shape)
-            if self.log.stiction.early:
+            if rule.early:
                 undamped = E + h * np.linalg.inv(masses) * damping[joints]
-            blocks.append((joints, by_position, by_velocity, masses, undamped, E))
+            later = masses / h**2 + E * damping[joints] / h
+            before = masses / h**2 - by_velocity / h
+            trees.append((joints, later, by_position - later - before, before, undamped))
         size = np.inf
         for _ in range(_ROUNDS):
             q[0] = start[0]
@@ -168,13 +172,13 @@ class LawRollout:
             here, speed = q[:-1], v[:-1]
             error = command - here
             effort = kp * error - kd * speed + feedforward
-            free = np.abs(effort) <= self.log.told.limit
-            effort = np.clip(effort, -self.log.told.limit, self.log.told.limit)
+            free = np.abs(effort) <= limit
+            effort = np.clip(effort, -limit, limit)
             rest = self.links.inverse_dynamics(here, speed, a)
             rest += armature * a + damping * v[1:] + drives["offset"] - effort
             # The force that would hold a joint, were its row alone: it decides whether it sticks.
-            sticking = self.log.stiction.rate * speed
-            for joints, *_, undamped, _ in blocks:
+            sticking = rule.rate * speed
+            for joints, *_, undamped in trees:
                 sticking[:, joints] += np.einsum("kij,kj->ki", undamped, a[:, joints])
             sticking *= stiff
             needed = (sticking - stiff * mobility * rest) / (1.0 + stiff * mobility)
@@ -185,15 +189,16 @@ class LawRollout:
             z = here - drives.middle
             hold = sticks * stiff
             leaning = side * (level > 0.0) * (drives["slope"] + 2.0 * z * drives["curve"])
-            by_speed, by_place = hold * self.log.stiction.rate + free * kd, leaning + free * kp
+            by_speed = (hold * rule.rate + free * kd) / h
+            by_place = leaning + free * kp + by_speed
             factors, earlier = [], []
             move = np.empty_like(rest)
-            for joints, by_position, by_velocity, masses, undamped, E in blocks:
-                by_a = (masses + hold[:, joints, None] * undamped) / h**2
-                by_v = (by_velocity + by_speed[:, joints, None] * E) / h
-                later, before = by_a + E * damping[joints] / h, by_a - by_v
-                now = by_position + by_place[:, joints, None] * E - later - before
-                factors.append(BandFactor.of(later, now, before))
+            for joints, later, now, before, undamped in trees:
+                held = hold[:, joints, None] / h**2 * undamped
+                now, before = now - 2.0 * held, before + held
+                diagonals(now)[...] += by_place[:, joints]
+                diagonals(before)[...] -= by_speed[:, joints]
+                factors.append(BandFactor.of(later + held, now, before))
                 earlier.append((now[0], before[:2]))
                 move[:, joints] = factors[-1].solve(wrong[:, joints])
             q[1:] += move
@@ -258,7 +263,7 @@ class LawRollout:
             "kp": -motion.error * motion.free,
             "kd": v[:-1] * motion.free,
         }
-        lag = self.told(drives.delay, derivative=True)[0] * drives["kp"] * motion.free
+        lag = self.commands(drives.delay, derivative=True)[0] * drives["kp"] * motion.free
         found = []
         for joints, factor, (now, before) in zip(
             self._components, motion.factors, motion.before, strict=True
@@ -295,7 +300,7 @@ class LawRollout:
         slope, value = np.polyfit(self._time[:few], self.measured[:few], 1)
         return np.stack([value, slope])
 
-    def told(self, delay: float, *, derivative: bool = False) -> tuple[Array, Array]:
+    def commands(self, delay: float, *, derivative: bool = False) -> tuple[Array, Array]:
         """Return means of commands and of added efforts over each step; or how the first change."""
         # Simulators hold what is told at the start of a step: the mean about that instant, since a
         # fit needs something smooth in the delay.
@@ -325,6 +330,11 @@ class LawRollout:
         row = np.minimum(place.astype(np.intp), self.count - 1)
         share = (place - row).reshape(-1, *[1] * (values.ndim - 1))
         return np.asarray(values[row] * (1.0 - share) + values[row + 1] * share)
+
+
+def diagonals(blocks: Any) -> Array:
+    """Return the diagonals (K, m) of blocks (K, m, m), as a view."""
+    return np.asarray(np.einsum("kii->ki", blocks))
 
 
 # Derivatives of the positions of each tree of joints.

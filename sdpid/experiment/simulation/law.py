@@ -1,4 +1,4 @@
-"""What a known law makes of a log: what the drives were told, and the efforts that follow."""
+"""What a known law makes of a log: commands to the drives, and the efforts that follow."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _NO_LIMIT = np.inf
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Told:
-    """What the drives of n joints were told at N time stamps.
+class DriveCommands:
+    """Commands to the drives of n joints at N time stamps.
 
     Attributes
     ----------
@@ -57,8 +57,8 @@ class Told:
     note: str
 
     @classmethod
-    def of(cls, log: Recording, law: PD) -> Told:
-        """Take what a recording says of the commands.
+    def of(cls, log: Recording, law: PD) -> DriveCommands:
+        """Take the commands of a recording.
 
         Raises
         ------
@@ -119,24 +119,25 @@ def with_efforts_of_law(log: Recording, law: PD, delay: float) -> Recording:
     DataError
         When it has no commanded positions.
     """
-    told = Told.of(log, law)
-    command, added = told.at(np.array(log.time), delay)
+    commands = DriveCommands.of(log, law)
+    command, added = commands.at(np.array(log.time), delay)
     position = np.array(log.position)
     velocity = log.velocity
     if velocity is None:
         velocity = np.gradient(position, np.array(log.time), axis=0)
     gains = law.gains
     effort = gains.proportional * (command - position) - gains.derivative * velocity + added
-    return replace(log, effort=np.clip(effort, -told.limit, told.limit), currents=False, gains=None)
+    effort = np.clip(effort, -commands.limit, commands.limit)
+    return replace(log, effort=effort, currents=False, gains=None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommandedMotion(DesiredMotion):
-    """What drives under a law were told, as steps or lines, when it acts.
+    """Commands to drives under a law, as steps or lines, when they act.
 
     Attributes
     ----------
-    told : Told
+    commands : DriveCommands
         Commands; added efforts are in them, over kp.
     stamps : ndarray, shape (N,)
         When these were given, s.
@@ -146,21 +147,21 @@ class CommandedMotion(DesiredMotion):
         Time from a command to its effort, s.
     """
 
-    told: Told
+    commands: DriveCommands
     stamps: Array
     begin: float
     delay: float
 
     @classmethod
     def under(cls, log: Recording, law: PD) -> CommandedMotion:
-        """Take what a recording says of the commands, under a law with its numbers."""
-        stamps, told = np.array(log.time), Told.of(log, law)
-        command = told.command + told.feedforward / law.gains.proportional
+        """Take the commands of a recording, under a law with its numbers."""
+        stamps, commands = np.array(log.time), DriveCommands.of(log, law)
+        command = commands.command + commands.feedforward / law.gains.proportional
         time = stamps - stamps[0]
         return cls(
             time=time,
             curve=SampledCurve(time=time, position=command),
-            told=replace(told, command=command, feedforward=np.zeros_like(command)),
+            commands=replace(commands, command=command, feedforward=np.zeros_like(command)),
             stamps=stamps,
             begin=float(stamps[0]),
             delay=float(law.delay or 0.0),
@@ -169,7 +170,7 @@ class CommandedMotion(DesiredMotion):
     def at(self, time: Array) -> Array:
         """Return commands that act (T, 3, n); their rates are not in the law, and zero."""
         found = np.zeros((len(time), 3, self.curve.n))
-        found[:, 0] = self.told.at(self.stamps, self.delay, self.begin + time)[0]
+        found[:, 0] = self.commands.at(self.stamps, self.delay, self.begin + time)[0]
         return found
 
 
