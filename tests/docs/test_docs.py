@@ -17,6 +17,7 @@ import typer
 
 import sdpid
 from sdpid import cli
+from sdpid._common.files import load_toml
 from sdpid.experiment.inspection import inspect as inspection
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.terms import BY_NAME
@@ -26,6 +27,7 @@ BLOCK = r"^```python\n(.*?)^```"
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 EVIDENCE = DOCS / "evidence"
+RECIPE = ROOT / ".conda" / "recipe.yaml"
 
 
 def blocks_of(page: str) -> list[str]:
@@ -152,16 +154,38 @@ def test_what_counts_as_a_measured_number() -> None:
 def test_every_page_of_evidence_shows_its_tables() -> None:
     from studies import load_studies
 
+    studies = load_studies()
     shown = {
         reference
-        for page in EVIDENCE.glob("*.md")
+        for page in {*EVIDENCE.glob("*.md"), *(EVIDENCE / each.page for each in studies.values())}
         for reference in re.findall(r"^```\{evidence\} (\S+)", page.read_text("utf-8"), flags=re.M)
     }
-    studies = load_studies()
     assert shown == {f"{s}/{t}" for s, study in studies.items() for t in study.tables}
     for study in studies.values():
         page = (EVIDENCE / study.page).read_text(encoding="utf-8")
         assert f"{{evidence}} {study.name}/" in page
+
+
+# What else says the version and the requirements says those of the package.
+
+
+def test_every_file_has_the_version_of_the_package() -> None:
+    version, changes = sdpid.__version__, (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    first = re.search(r"^## \[(.*?)\] - (unreleased|\d{4}-\d\d-\d\d)$", changes, flags=re.M)
+    assert first is not None
+    assert first[1] == version
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f'\n  version: "{version}"\n' in RECIPE.read_text(encoding="utf-8")
+
+
+def test_the_recipe_of_conda_asks_for_what_the_package_does() -> None:
+    yaml = pytest.importorskip("yaml")
+    project = load_toml(ROOT / "pyproject.toml")["project"]
+    needs = [line.partition(";")[0].replace(">=", " >=") for line in project["dependencies"]]
+    python, *others = yaml.safe_load(RECIPE.read_text(encoding="utf-8"))["requirements"]["run"]
+    assert python == "python >=${{ python_min }}"
+    # Pinocchio has another name there.
+    assert others == [line.replace("pin ", "pinocchio ") for line in needs]
 
 
 # Options that pages name exist, and those of a command that is written out are its own.

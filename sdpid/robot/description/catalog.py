@@ -6,6 +6,7 @@ import difflib
 import importlib
 import importlib.metadata
 import os
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -66,16 +67,23 @@ def results_folder(given: str | os.PathLike[str]) -> Path:
 @cache
 def example_robots() -> dict[str, Path]:
     """Return the URDF files of the installed example-robot-data, by folder/stem."""
+    robots = {}
+    for file in _example_files():
+        below = file.as_posix().rpartition("/example-robot-data/")[2].split("/")
+        if file.suffix == ".urdf" and "robots" in below:
+            folder = below[below.index("robots") + 1]
+            robots[f"{folder}/{file.stem}"] = file
+    return dict(sorted(robots.items()))
+
+
+def _example_files() -> list[Path]:
+    """Return the files of example-robot-data: pip keeps a record, conda has a shared folder."""
+    shared = Path("share", "example-robot-data")
     try:
         files = importlib.metadata.files("example-robot-data") or []
     except importlib.metadata.PackageNotFoundError:
-        return {}
-    robots = {}
-    for file in files:
-        if file.suffix == ".urdf" and "robots" in file.parts:
-            folder = file.parts[file.parts.index("robots") + 1]
-            robots[f"{folder}/{file.stem}"] = Path(str(file.locate()))
-    return dict(sorted(robots.items()))
+        return [*Path(sys.prefix, shared).rglob("*.urdf")]
+    return [Path(str(file.locate())) for file in files if shared.as_posix() in file.as_posix()]
 
 
 def downloadable_robots() -> tuple[str, ...]:

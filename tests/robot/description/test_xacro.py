@@ -1,5 +1,6 @@
 """Robots from xacro files, and from names of robot_descriptions."""
 
+import importlib.metadata
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -9,6 +10,7 @@ import pytest
 from sdpid.assurance.descriptions.audit import audit_urdf
 from sdpid.errors import ModelError
 from sdpid.output.robots.repair import repair_urdf
+from sdpid.robot.description.catalog import example_robots
 from sdpid.robot.model.load import load_robot
 from tests.helpers.descriptions import chain
 from tests.helpers.refusals import refuses
@@ -105,3 +107,18 @@ def test_without_robot_descriptions_the_extra_is_named(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     with pytest.raises(ModelError, match=r"pip install .*\[descriptions\]'"):
         load_robot("no_such_description")
+
+
+def test_robots_that_conda_installed_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_record(name: str) -> None:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    robots = tmp_path / "robots/share/example-robot-data/robots"
+    written = robots / "two_description/robots/two_arms.urdf"
+    written.parent.mkdir(parents=True)
+    written.write_text("<robot/>")
+    monkeypatch.setattr(importlib.metadata, "files", no_record)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "robots"))
+    assert example_robots.__wrapped__() == {"two_description/two_arms": written}
