@@ -111,6 +111,13 @@ REFUSED = [
     (loaded(MJCF.format(SUM.format("", ""), "", ALIKE)), "move its joints alike"),
     (
         loaded(MJCF.format(SUM.format("", ""), LEVEL, ""), {"joints": {"c": {"m": 1.0}}}),
+        "c follow joints that no row names",
+    ),
+    (
+        loaded(
+            MJCF.format(SUM.format("", ""), LEVEL, ""),
+            {"joints": {"b": {"m": 1.0}, "c": {"m": 1.0}}},
+        ),
         "keeps a tendon over b, c at a length",
     ),
     (

@@ -343,7 +343,6 @@ def test_bad_options_and_files_are_model_errors(tmp_path: Path) -> None:
     model = load_robot(TREE).pin_model
     refuses(ModelError, "already has its root", load_robot, model, root="free_flyer")
     refuses(ModelError, "gravity", load_robot, TREE, gravity=(0.0, 0.0))
-    refuses(ModelError, "offset", load_robot, TREE_MIMIC, root="free_flyer")
     path = tmp_path / "robot.urdf"
     path.write_bytes(b"\xff\xfe\x00binary")
     refuses(ModelError, "cannot read", load_robot, path)

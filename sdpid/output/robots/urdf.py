@@ -169,12 +169,12 @@ class Urdf(RobotText):
 
     def __init__(self, robot: RobotModel, text: str) -> None:
         super().__init__(robot, f"URDF of '{robot.name}'", text)
-        _, mimics = check_urdf(text, "URDF", floating=True)
+        _, kept = check_urdf(text, "URDF", floating=True)
         # As they are written, in document order.
         self.root, self.bodies = read_urdf_bodies(text, "URDF")
         self.elements = self.root.findall("link")
         self._joints = {joint.get("name", ""): joint for joint in self.root.findall("joint")}
-        self._sources = {mimic.joint: mimic.source for mimic in mimics}
+        self._sources = {str(each.follower): next(iter(each.factors)) for each in kept}
         own = {k: body for k, body in enumerate(self.bodies) if body.carrier == body.name}
         roots = [k for k, body in own.items() if not body.moving]
         if len(roots) != 1:

@@ -21,7 +21,7 @@ from sdpid._common.files import read_regular
 from sdpid.errors import ModelError
 from sdpid.robot.description.bodies import DescribedBody
 from sdpid.robot.description.loops import Closure
-from sdpid.robot.description.urdf import Mimic
+from sdpid.robot.description.urdf import Kept
 from sdpid.robot.description.xml import MAX_BYTES, parse_xml
 from sdpid.robot.friction.position import Spring
 from sdpid.robot.inertia import theta_from_physical
@@ -214,12 +214,10 @@ class MjcfModel:
         Names of MuJoCo's joints, which may have none of their own.
     bodies : list of MjcfBody
         In MuJoCo's order, the world first.
-    mimics : list of Mimic
-        Joints that an active equality makes follow another.
     closures : list of Closure
         Loops that active equalities close.
-    kept : list
-        Factors by joint of fixed tendons that active equalities keep at a length, and the length.
+    kept : list of Kept
+        Joints that active equalities make follow another, or keep in a fixed tendon of a length.
     others : list of str
         Kinds of the other active equalities.
     """
@@ -240,9 +238,8 @@ class MjcfModel:
         self.bodies = [MjcfBody("world", 0, np.eye(4), np.zeros(10), [])]
         for body in range(1, model.nbody):
             self._add(body)
-        self.mimics: list[Mimic] = []
         self.closures: list[Closure] = []
-        self.kept: list[tuple[dict[str, float], float]] = []
+        self.kept: list[Kept] = []
         self.others: list[str] = []
         for number in np.flatnonzero(model.eq_active0).tolist():
             self._add_equality(number)
@@ -310,7 +307,7 @@ class MjcfModel:
         return float(positions[self.model.jnt_qposadr[number]])
 
     def _add_equality(self, number: int) -> None:
-        """Add an active equality to the mimics, to the closures, or to the others."""
+        """Add an active equality to what is kept, to the closures, or to the others."""
         model = self.model
         kind = self.kinds.mjtEq(int(model.eq_type[number])).name.removeprefix("mjEQ_").lower()
         first, second = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
@@ -319,14 +316,14 @@ class MjcfModel:
             self.closures.append(self._closure(number, kind, (first, second), data))
         elif kind == "tendon" and second < 0 and self._of_joints(first):
             value = float(model.tendon_length0[first]) + data[0]
-            self.kept.append((self._factors(first), value))
+            self.kept.append(Kept(self._factors(first), value))
         elif kind != "joint" or second < 0 or any(data[2:5]):
             self.others.append(kind)
         else:
             # q1 − ref1 = c0 + c1·(q2 − ref2)
             one, two = (self._at_joint(model.qpos0, joint) for joint in (first, second))
             offset = one + data[0] - data[1] * two
-            self.mimics.append(Mimic(self.names[first], self.names[second], data[1], offset))
+            self.kept.append(Kept.mimic(self.names[first], self.names[second], data[1], offset))
 
     def _closure(
         self, number: int, kind: str, objects: tuple[int, int], data: list[float]
@@ -423,14 +420,11 @@ class MjcfModel:
 
         Those that none moves, or several, are not among them.
         """
-        places = {name: k for k, name in enumerate(robot.tree_joints)}
         found = dict[int, tuple[int, float, float]]()
         for i in filter(self._of_joints, range(self.model.ntendon)):
-            rows = [(places[name], x) for name, x in self._factors(i).items()]
-            gears = sum(x * robot.expansion[k] for k, x in rows)
+            gears, shift = robot.way(self._factors(i))
             moved = np.flatnonzero(np.abs(gears) > 1e-12)
             if len(moved) == 1 and moved[0] >= robot.n_base:
-                shift = float(sum(x * robot.offset[k] for k, x in rows))
                 found[i] = int(moved[0]), float(gears[moved[0]]), shift
         return found
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,14 +49,21 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _ONE_VARIABLE = ("revolute", "continuous", "prismatic")
 
 
-@dataclass(frozen=True)
-class Mimic:
-    """A joint that repeats another: ``q = multiplier·q_source + offset``."""
+class Kept(NamedTuple):
+    """Joints that hold each other: the sum of their positions times factors is a value.
 
-    joint: str
-    source: str
-    multiplier: float
-    offset: float
+    One of them may be said to follow the others.
+    """
+
+    factors: dict[str, float]
+    value: float
+    follower: str | None = None
+
+    @classmethod
+    def mimic(cls, joint: str, source: str, multiplier: float, offset: float) -> Kept:
+        """Return what holds for a joint that repeats another: ``multiplier·q_source + offset``."""
+        own = 1.0 - multiplier if source == joint else 1.0
+        return cls({source: -multiplier, joint: own}, offset, joint)
 
 
 def parse_urdf(text: str | bytes, what: str) -> Any:
@@ -77,8 +83,8 @@ def parse_urdf(text: str | bytes, what: str) -> Any:
     return root
 
 
-def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[Any, tuple[Mimic, ...]]:
-    """Check the joints of a URDF and return its root element and its mimic joints.
+def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[Any, tuple[Kept, ...]]:
+    """Check the joints of a URDF and return its root element and what its mimic joints hold to.
 
     With a `floating` base the base itself moves, so that no joint needs to.
 
@@ -91,7 +97,7 @@ def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[Any, tu
     root = parse_urdf(text, what)
     _check_numbers(root, what)
     moving = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
-    mimics = []
+    kept = []
     for joint in moving:
         name, kind = joint.get("name", "?"), joint.get("type", "?")
         if kind not in _ONE_VARIABLE:
@@ -101,16 +107,16 @@ def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[Any, tu
             )
         for mimic in joint.findall("mimic")[:1]:
             multiplier, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
-            mimics.append(Mimic(name, mimic.get("joint", ""), multiplier, offset))
+            kept.append(Kept.mimic(name, mimic.get("joint", ""), multiplier, offset))
     if not moving and not floating:
         raise ModelError(f"{what}: no moving joint; nothing can be identified.")
-    return root, tuple(mimics)
+    return root, tuple(kept)
 
 
 def pinocchio_from_urdf(
     text: str, what: str, *, floating: bool = False
-) -> tuple[Any, tuple[Mimic, ...], Any]:
-    """Return the Pinocchio model of a URDF, its mimic joints and its root element.
+) -> tuple[Any, tuple[Kept, ...], Any]:
+    """Return the Pinocchio model of a URDF, what its joints hold to, and its root element.
 
     Raises
     ------
@@ -119,7 +125,7 @@ def pinocchio_from_urdf(
     """
     import pinocchio as pin
 
-    root, mimics = check_urdf(text, what, floating=floating)
+    root, kept = check_urdf(text, what, floating=floating)
     free = (pin.JointModelFreeFlyer(),) if floating else ()
     try:
         model = pin.buildModelFromXML(undeclared(text), *free)
@@ -129,7 +135,7 @@ def pinocchio_from_urdf(
             f"{what}: Pinocchio cannot read it ({cause}); its parser says why on standard error."
         ) from None
     model.name = root.get("name", "robot")
-    return model, mimics, root
+    return model, kept, root
 
 
 def _check_numbers(root: Any, what: str) -> None:

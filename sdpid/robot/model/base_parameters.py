@@ -149,11 +149,9 @@ def generic_states(robot: RobotModel, count: int, seed: int) -> tuple[Array, Arr
     rate = np.sqrt(max(float(np.linalg.norm(robot.gravity)), 1.0) / characteristic_length(robot))
     q = rng.uniform(-np.pi, np.pi, (count, n))
     if robot.free_flyer:
-        # Mimic joints follow their source here too: apart they would show more parameters.
-        angles, turn = q @ robot.expansion.T, rng.standard_normal((count, 4))
-        q = robot.configuration_of(angles)
-        q[:, :3] = angles[:, :3]
-        q[:, 3:7] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+        turn = rng.standard_normal((count, 4))
+        turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+        q = np.hstack([q[:, :3], turn, q[:, 6:]])
     v = rate * rng.uniform(-1.5, 1.5, (count, n))
     a = rate**2 * rng.uniform(-1.5, 1.5, (count, n))
     return q, v, a
@@ -315,7 +313,7 @@ def _name(name: str, count: int) -> str:
 
 
 def kinematics_digest(robot: RobotModel) -> str:
-    """Return the SHA-256 of a robot's joints, placements, axes, mimic joints, loops and gravity.
+    """Return the SHA-256 of a robot's joints, placements, axes, transmission, loops and gravity.
 
     Inertias, limits and shapes do not count. Robots of equal digest have the same regressor.
     """

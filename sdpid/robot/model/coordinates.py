@@ -1,4 +1,4 @@
-"""Coordinates of a Pinocchio model: names of joints and links, expansion of mimic joints."""
+"""Coordinates of a Pinocchio model: names of joints and links."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Mask
 from sdpid.errors import ModelError
-from sdpid.robot.description.urdf import Mimic
 
 
 def coordinate_names(model: Any) -> list[str]:
-    """Return the names of a model's nv velocity coordinates, mimic joints included.
+    """Return the names of a model's nv velocity coordinates, joints that follow others included.
 
     Raises
     ------
@@ -44,37 +43,6 @@ def sliding(model: Any, names: Sequence[str]) -> Mask:
         return str(model.joints[model.getJointId(name)].shortname()).startswith("JointModelP")
 
     return np.array([slides(name) for name in names], dtype=np.bool_)
-
-
-def expand_mimics(
-    coordinates: Sequence[str], mimics: Sequence[Mimic]
-) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return expansion (nv, n), offset (nv,) and the names of the n coordinates without mimics.
-
-    Raises
-    ------
-    ModelError
-        When a mimic joint follows itself, or a joint that does not move.
-    """
-    rules = {mimic.joint: mimic for mimic in mimics}
-    names = tuple(name for name in coordinates if name not in rules)
-    expansion = np.zeros((len(coordinates), len(names)))
-    offset = np.zeros(len(coordinates))
-    for row, name in enumerate(coordinates):
-        multiplier, shift, source, seen = 1.0, 0.0, name, {name}
-        while source in rules:
-            rule = rules[source]
-            shift += multiplier * rule.offset
-            multiplier *= rule.multiplier
-            source = rule.source
-            if source in seen:
-                raise ModelError(f"mimic joints repeat each other in a circle at '{source}'.")
-            seen.add(source)
-        if source not in names:
-            raise ModelError(f"joint '{name}' mimics '{source}', which is no moving joint.")
-        expansion[row, names.index(source)] = multiplier
-        offset[row] = shift
-    return expansion, offset, names
 
 
 def link_names(model: Any) -> tuple[str, ...]:

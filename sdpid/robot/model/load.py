@@ -21,7 +21,7 @@ from sdpid.robot.description.urdf import pinocchio_from_urdf
 from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import Description, is_mjcf, is_xml, read_description
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.transmission import Transmission, of_elements, of_lengths
+from sdpid.robot.model.transmission import Transmission, following, of_elements, of_lengths
 
 Root = Literal["free_flyer"]
 
@@ -93,7 +93,7 @@ def load_robot(
     if not isinstance(source, (str, os.PathLike)):
         if root is not None:
             raise ModelError("root: a pinocchio.Model already has its root; leave it out.")
-        return _behind(RobotModel.from_pinocchio(source, gravity=gravity), transmission, None)
+        return _behind(RobotModel.from_pinocchio(source, gravity=gravity), transmission)
     found, default_gravity = _find(source)
     if gravity is None:
         gravity = default_gravity
@@ -111,7 +111,8 @@ def load_robot(
                 "it, or set active='false'."
             )
         facts["loops"] = loops = add_loops(mjcf.pin_model, mjcf.closures, found.what)
-        robot = RobotModel.from_pinocchio(mjcf.pin_model, gravity=gravity, mimics=mjcf.mimics)
+        plain = RobotModel.from_pinocchio(mjcf.pin_model, gravity=gravity)
+        robot = following(plain, mjcf.kept)
         if root is not None and not robot.free_flyer:
             raise ModelError(
                 f"{found.what}: an MJCF says itself whether its base floats, and this one's is "
@@ -121,15 +122,16 @@ def load_robot(
         # Joints that no actuator moves have none at all in most files: a loop tells that they
         # matter. Where the file's joints are zero its loops are closed.
         passive = {name: 0.0 for name in mjcf.passive() if loops and name in robot.joint_names}
-        own = partial(_of_mjcf, robot, mjcf, found.what)
+        own = partial(_of_mjcf, plain, mjcf, found.what)
     else:
-        model, mimics, described = pinocchio_from_urdf(
+        model, kept, described = pinocchio_from_urdf(
             found.text, found.what, floating=root is not None
         )
         facts["loops"] = add_loops(model, urdf_closures(described, found.what), found.what)
-        robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
+        plain = RobotModel.from_pinocchio(model, gravity=gravity, urdf=found.text)
+        robot = following(plain, kept)
         passive = urdf_passive(described, found.what)
-        own = partial(_of_urdf, described, found.what)
+        own = partial(of_elements, described, found.what)
     found_robot = replace(robot, **facts, passive=tuple(passive), assembled=tuple(passive.values()))
     if transmission is None and found.path is not None:
         beside = found.path.with_name(f"{found.path.stem}{_BESIDE}")
@@ -137,11 +139,9 @@ def load_robot(
     moved = _behind(found_robot, transmission, own)
     if mjcf is None:
         return moved
-    for lengths, value in mjcf.kept:
-        rows = {moved.tree_joints.index(name): factor for name, factor in lengths.items()}
-        change = sum(factor * moved.expansion[k] for k, factor in rows.items())
-        length = sum(factor * moved.offset[k] for k, factor in rows.items())
-        if np.abs([*np.atleast_1d(change), length - value]).max() > _KEPT:
+    for lengths, value, follower in mjcf.kept:
+        change, length = moved.way(lengths)
+        if follower is None and np.abs([*change, length - value]).max() > _KEPT:
             raise ModelError(
                 f"{found.what}: an equality keeps a tendon over {', '.join(lengths)} at a length "
                 "that changes by the given transmission; say there how these joints follow."
@@ -150,33 +150,24 @@ def load_robot(
 
 
 def _behind(
-    robot: RobotModel, transmission: Any, own: Callable[[bool], Transmission | None] | None
+    robot: RobotModel, transmission: Any, own: Callable[[], Transmission] | None = None
 ) -> RobotModel:
-    """Return a robot behind a transmission, if there is one.
-
-    That of the description is asked whether with its motors.
-    """
-    described = isinstance(transmission, str) and transmission == DESCRIBED
-    if described and own is None:
-        raise ModelError(f"transmission: '{robot.name}' is no URDF and no MJCF; give numbers.")
-    if own is not None and (described or transmission is None):
-        transmission = own(described)
+    """Return a robot behind a transmission, if there is one: perhaps its description's `own`."""
+    if isinstance(transmission, str) and transmission == DESCRIBED:
+        if own is None:
+            raise ModelError(f"transmission: '{robot.name}' is no URDF and no MJCF; give numbers.")
+        transmission = own()
     return robot if transmission is None else Transmission.of(transmission).applied(robot)
 
 
-def _of_mjcf(robot: RobotModel, mjcf: Any, what: str, motors: bool) -> Transmission | None:
-    """Return how joints follow one another, and the motors of tendons where these are asked for."""
-    pulled = mjcf.motors() if motors else {}
-    if motors and not pulled:
+def _of_mjcf(robot: RobotModel, mjcf: Any, what: str) -> Transmission:
+    """Return how joints follow the motors that pull at tendons, and one another."""
+    pulled = mjcf.motors()
+    if not pulled:
         raise ModelError(
             f"{what}: no motor pulls at a fixed tendon; give transmission= as numbers."
         )
-    return of_lengths(robot, pulled, mjcf.kept) if pulled or mjcf.kept else None
-
-
-def _of_urdf(root: Any, what: str, motors: bool) -> Transmission | None:
-    """Return the transmission of a URDF's elements where it is asked for."""
-    return of_elements(root, what) if motors else None
+    return of_lengths(robot, mjcf.kept, pulled)
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

@@ -18,11 +18,11 @@ from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.description.loops import Loop
-from sdpid.robot.description.urdf import Mimic, pinocchio_from_urdf
+from sdpid.robot.description.urdf import pinocchio_from_urdf
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.model import regressor_kernel as kernels
-from sdpid.robot.model.coordinates import coordinate_names, expand_mimics, link_names, sliding
+from sdpid.robot.model.coordinates import coordinate_names, link_names, sliding
 
 # Descriptions and our own URDFs write 'no limit' as a number at least this large.
 _UNLIMITED = 1e9
@@ -43,16 +43,17 @@ class RobotModel:
     pin_model : pinocchio.Model
         The kinematics; not to be changed.
     joint_names : tuple of str
-        The n velocity coordinates: one name a joint, six for a floating base. Joints that mimic
-        another are not among them.
+        The n velocity coordinates: one name a joint or a motor, six for a floating base. Joints
+        that follow others are not among them.
     link_names : tuple of str
         The moving links, named after their joints' bodies, in Pinocchio's order.
     prior : ndarray, shape (links, 10)
         Inertial parameters of the description; zero where it gives none.
     expansion : ndarray, shape (nv, n)
-        Velocities of Pinocchio's joints from the n coordinates: the identity but for mimic joints.
+        Velocities of Pinocchio's joints from the n coordinates: the identity but for joints that
+        follow others, or motors (see `sdpid.Transmission`).
     offset : ndarray, shape (nv,)
-        Positions of Pinocchio's joints at zero coordinates (mimic offsets).
+        Positions of Pinocchio's joints at zero coordinates.
     urdf : str or None
         Text of the description, where there is one.
     source : Source or None
@@ -72,7 +73,7 @@ class RobotModel:
     springs : tuple of Spring
         Springs of the description, which `identify` takes as known unless it is given others.
     transmission : mapping or None
-        How the joints follow the motors, as `load_robot` takes it, where they do.
+        How the joints follow the motors, as `load_robot` was given it.
 
     Examples
     --------
@@ -167,7 +168,6 @@ class RobotModel:
         model: Any,
         *,
         gravity: Sequence[float] | None = None,
-        mimics: Sequence[Mimic] = (),
         urdf: str | None = None,
     ) -> RobotModel:
         """Build from a Pinocchio model, which is copied.
@@ -178,8 +178,6 @@ class RobotModel:
             Revolute, continuous and prismatic joints, on a fixed or floating base.
         gravity : sequence of 3 floats, optional
             Gravity in the base link, m/s²; by default the model's.
-        mimics : sequence of Mimic, optional
-            Joints that repeat others, which are then no coordinates.
         urdf : str, optional
             Text of the description.
 
@@ -204,10 +202,7 @@ class RobotModel:
             if values.shape != (3,):
                 raise ModelError(f"gravity: {values.size} numbers, give 3 (m/s²).")
             model.gravity.linear = values
-        expansion, offset, names = expand_mimics(coordinate_names(model), mimics)
-        if any(mimic.offset for mimic in mimics) and model.joints[1].nv == 6:
-            raise ModelError("mimic joints with an offset are not supported on a floating base.")
-        links = link_names(model)
+        names, links = tuple(coordinate_names(model)), link_names(model)
         prior = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
         for link, body in zip(links, prior, strict=True):
             if body[0] < 0.0:
@@ -215,15 +210,15 @@ class RobotModel:
                     f"robot '{model.name}': link '{link}': the mass is {body[0]:g} kg, the least "
                     "is 0; give the true mass."
                 )
-        kernels.flatten(model, expansion)  # refuses joints of other kinds
+        kernels.flatten(model, np.eye(len(names)))  # refuses joints of other kinds
         return cls(
             name=model.name,
             pin_model=model,
             joint_names=names,
             link_names=links,
             prior=frozen(prior),
-            expansion=frozen(expansion),
-            offset=frozen(offset),
+            expansion=frozen(np.eye(len(names))),
+            offset=frozen(np.zeros(len(names))),
             urdf=urdf,
         )
 
@@ -241,7 +236,7 @@ class RobotModel:
             "base": "floating" if self.free_flyer else "fixed",
             "loops": ", ".join(f"{loop.name} ({loop.kind})" for loop in self.loops) or None,
             "without motors": ", ".join(self.passive) or None,
-            "behind a transmission": ", ".join(self.tree_joints) if self.transmission else None,
+            "joints": None if self.direct else ", ".join(self.tree_joints),
             "described mass, kg": float(np.maximum(self.prior[:, 0], 0.0).sum()),
         }
         links = {"link": list(self.link_names), "described mass, kg": self.prior[:, 0].tolist()}
@@ -290,8 +285,20 @@ class RobotModel:
 
     @property
     def tree_joints(self) -> tuple[str, ...]:
-        """Names of Pinocchio's nv coordinates: joints behind a transmission are among them."""
+        """Names of Pinocchio's nv coordinates: joints that follow others are among them."""
         return tuple(coordinate_names(self.pin_model))
+
+    def way(self, factors: Mapping[str, float]) -> tuple[Array, float]:
+        """Return how a sum of joints' positions follows the coordinates: rates (n,), and an offset.
+
+        Parameters
+        ----------
+        factors : mapping
+            Factors in the sum by names of Pinocchio's joints.
+        """
+        rows = [self.tree_joints.index(name) for name in factors]
+        values = np.array([*factors.values()])
+        return values @ self.expansion[rows], float(values @ self.offset[rows])
 
     def single_joints(self) -> list[tuple[int, Any]]:
         """Return (column, Pinocchio joint) of each coordinate that is one joint of its own."""
@@ -358,7 +365,7 @@ class RobotModel:
     def described_friction(self) -> tuple[Array, Array]:
         """Return viscous and Coulomb friction of each coordinate in the description, (n,) each."""
         damping, friction = np.array(self.pin_model.damping), np.array(self.pin_model.friction)
-        # Friction of a mimic joint acts on its source through the gear between them.
+        # Friction of a joint acts on what moves it through the gear between them.
         ratio = np.abs(self.expansion)
         return np.asarray(damping @ ratio**2), np.asarray(friction @ ratio)
 
@@ -386,20 +393,25 @@ class RobotModel:
     def configuration(self, position: ArrayLike) -> Array:
         """Return Pinocchio's configurations, (K, n) to (K, nq).
 
-        Continuous joints become cosine and sine, mimic joints their expanded angle. With a
-        floating base the positions are already configurations, (K, nq).
+        Continuous joints become cosine and sine, joints that follow others their own angle. With a
+        floating base positions are its seven numbers and one of each further coordinate, or
+        configurations already, (K, nq).
         """
         position = real_array(position, "position", ndim=2)
-        model = self.pin_model
-        if self.free_flyer and position.shape[1] == model.nq:
-            return position
-        wanted = model.nq if self.free_flyer else self.n
-        if position.shape[1] != wanted:
+        pose, n, nq = 7 * self.free_flyer, self.n - self.n_base, self.pin_model.nq
+        if position.shape[1] == pose + n:
+            if pose and pose + n == nq and self.direct:
+                return position
+            angles = np.pad(position[:, pose:], ((0, 0), (self.n_base, 0)))
+            found = self.configuration_of(self._expand(angles) + self.offset)
+            found[:, :pose] = position[:, :pose]
+            return found
+        if not pose or position.shape[1] != nq:
             raise DataError(
-                f"position: {position.shape[1]} columns, the robot '{self.name}' has {wanted}: "
+                f"position: {position.shape[1]} columns, the robot '{self.name}' has {pose + n}: "
                 f"{', '.join(self.joint_names)}."
             )
-        return self.configuration_of(self._expand(position) + self.offset)
+        return position
 
     def configuration_of(self, angles: Array) -> Array:
         """Return Pinocchio's configurations (K, nq) of its joints' angles or ways (K, nv).
@@ -442,17 +454,17 @@ class RobotModel:
                 f"q: {positions.shape[1]} columns, the robot '{self.name}' has {n} joints beside "
                 "its floating base."
             )
-        full = np.hstack([np.zeros((len(positions), self.n_base)), positions])
-        return self.configuration_of(self._expand(full) + self.offset)
+        return self.configuration(np.hstack([np.eye(1, 7, 6).repeat(len(positions), 0), positions]))
 
     @functools.cached_property
-    def _mimics(self) -> bool:
+    def direct(self) -> bool:
+        """Whether every joint is a coordinate: none follows others, or motors."""
         rows, columns = self.expansion.shape
         plain = rows == columns and np.array_equal(self.expansion, np.eye(rows))
-        return not plain or bool(self.offset.any())
+        return plain and not self.offset.any()
 
     def _expand(self, values: Array) -> Array:
-        return values @ self.expansion.T if self._mimics else values
+        return values if self.direct else values @ self.expansion.T
 
     def _states(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> tuple[Array, Array, Array]:
         q = self.configuration(q)
@@ -590,7 +602,7 @@ class RobotModel:
 
         shape = self.pin_model.nv, 10 * self.n_links
         Y = each_state(pin.computeJointTorqueRegressor, self.pin_model, shape, q, v, a)
-        return np.asarray(self.expansion.T @ Y) if self._mimics else Y
+        return Y if self.direct else np.asarray(self.expansion.T @ Y)
 
     def inverse_dynamics(self, theta: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the efforts (K, n) of links with the given parameters, without friction."""
@@ -627,7 +639,7 @@ class RobotModel:
         if gravity is not None:
             model.gravity.linear = np.asarray(gravity, dtype=np.float64)
         found = each_state(pin.rnea, model, (model.nv,), q, v, a)
-        return found @ self.expansion if self._mimics else found
+        return found if self.direct else found @ self.expansion
 
     def described_efforts(
         self, q: ArrayLike, v: ArrayLike, a: ArrayLike, *, gravity: ArrayLike | None = None
@@ -639,8 +651,6 @@ class RobotModel:
         # A body without mass has no center of mass.
         massive = np.where(self.prior[:, :1] > 0.0, self.prior, 0.0)
         links = self.efforts_of_bodies(massive, q, v, a, gravity=gravity)
-        if self.transmission is None:
-            return np.asarray(links + np.asarray(a) * self.described_armature())
         # Rotors of joints that several motors move are felt by all of these.
         rotors = self.expansion.T * np.array(self.pin_model.armature)
         return np.asarray(links + np.asarray(a) @ (rotors @ self.expansion))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.files import load_toml
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import ModelError
+from sdpid.robot.description.urdf import Kept
 from sdpid.robot.model.model import RobotModel
 
 # Motors that are dependent by more than this share cannot be told apart by any motion.
@@ -165,127 +166,132 @@ class Transmission(Shown):
         return plain_dict(vars(self))
 
     def applied(self, robot: RobotModel) -> RobotModel:
-        """Return a robot whose coordinates are those of the motors.
+        """Return a robot whose coordinates are those of the motors, and which says so.
 
-        Joints that mimic another, and are named, follow the motors in place of it.
+        Joints that follow another, and are named, follow the motors in place of it.
 
         Raises
         ------
         ModelError
-            When the robot does not have these joints, or its base floats.
+            When the robot does not have these joints.
         """
-        assert self.names is not None
-        assert self.offset is not None
-        own, tree = robot.joint_names, robot.tree_joints
-        if robot.n_base or robot.loops or robot.transmission is not None:
+        if robot.transmission is not None:
             raise ModelError(
-                f"transmission: '{robot.name}' has a floating base or loops, or a transmission "
-                "already, which are not supported; describe its joints as a tree on a fixed base."
+                f"transmission: '{robot.name}' has one already; load it without, and say both at "
+                "once."
             )
-        joints = own if self.joints is None else self.joints
-        if unknown := [name for name in joints if name not in tree]:
-            raise ModelError(
-                f"transmission: '{robot.name}' has no joint {', '.join(unknown)}; it has "
-                f"{', '.join(tree)}."
-            )
+        joints = robot.joint_names[robot.n_base :] if self.joints is None else self.joints
         if len(joints) != len(self.matrix):
             raise ModelError(
-                f"transmission: {len(self.matrix)} rows for the {len(own)} joints of "
-                f"'{robot.name}': {', '.join(own)}; give one each, or name the joints."
+                f"transmission: {len(self.matrix)} rows for the {len(joints)} joints of "
+                f"'{robot.name}': {', '.join(joints)}; give one each, or name the joints."
             )
-        others = [name for name in own if name not in joints]
-        # A joint that no row names has a motor of its own, in the place of that joint.
-        names, taken = [], False
-        for name in own:
-            if name in others:
-                names.append(name)
-            elif not taken:
-                names += self.names
-                taken = True
-        if repeated := [name for name in self.names if name in others]:
+        said = Transmission(self.matrix, self.offset, self.names, joints)
+        return replace(said._moving(robot), transmission=said.to_dict())
+
+    def _moving(self, robot: RobotModel) -> RobotModel:
+        """Return a robot whose named joints follow the motors."""
+        assert self.names is not None
+        assert self.offset is not None
+        assert self.joints is not None
+        own, tree, base = robot.joint_names, robot.tree_joints, robot.n_base
+        if unknown := [name for name in self.joints if name not in tree[base:]]:
+            raise ModelError(
+                f"transmission: '{robot.name}' has no joint {', '.join(unknown)}; it has "
+                f"{', '.join(tree[base:])}."
+            )
+        # A joint that no row names has a motor of its own; those of others are in the place of the
+        # first that is named.
+        names = [name for name in own if name not in self.joints]
+        if repeated := [name for name in self.names if name in names]:
             raise ModelError(
                 f"transmission: {', '.join(repeated)} is a motor, and a joint that no row names."
             )
-        if not taken:
+        place = next((k for k, name in enumerate(own) if name in self.joints), None)
+        if place is None:
             raise ModelError(
-                f"transmission: {', '.join(joints)} mimic joints that no row names; name these too."
+                f"transmission: {', '.join(self.joints)} follow joints that no row names; name "
+                "these too."
             )
-        matrix, offset = np.zeros((len(own), len(names))), np.zeros(len(own))
-        for name in others:
-            matrix[own.index(name), names.index(name)] = 1.0
-        columns = [names.index(name) for name in self.names]
-        for name, row, shift in zip(joints, self.matrix, self.offset, strict=True):
-            if name in own:
-                matrix[own.index(name), columns], offset[own.index(name)] = row, shift
-        expansion = robot.expansion @ matrix
-        offset = robot.expansion @ offset + robot.offset
-        for name, row, shift in zip(joints, self.matrix, self.offset, strict=True):
-            expansion[tree.index(name)], offset[tree.index(name)] = 0.0, shift
-            expansion[tree.index(name), columns] = row
+        names[place:place] = self.names
+        rows = np.zeros((len(self.joints), len(names)))
+        rows[:, place : place + len(self.names)] = self.matrix
+        given = dict(zip(self.joints, zip(rows, self.offset, strict=True), strict=True))
+        unit = dict(zip(names, np.eye(len(names)), strict=True))
+        # What the coordinates before are of those now; joints that follow them go along.
+        before = [given.get(name) or (unit[name], 0.0) for name in own]
+        expansion = robot.expansion @ np.array([row for row, _ in before])
+        offset = robot.offset + robot.expansion @ np.array([shift for _, shift in before])
+        for name, (row, shift) in given.items():
+            expansion[tree.index(name)], offset[tree.index(name)] = row, shift
         return replace(
-            robot,
-            joint_names=tuple(names),
-            expansion=frozen(expansion),
-            offset=frozen(offset),
-            transmission=Transmission(self.matrix, self.offset, self.names, joints).to_dict(),
+            robot, joint_names=tuple(names), expansion=frozen(expansion), offset=frozen(offset)
         )
 
 
 def of_lengths(
-    robot: RobotModel, motors: Mapping[str, Lengths], kept: Iterable[tuple[Lengths, float]]
-) -> Transmission | None:
-    """Return the transmission of an MJCF's fixed tendons; None where joints are independent.
+    robot: RobotModel, kept: Sequence[Kept], motors: Mapping[str, Lengths]
+) -> Transmission:
+    """Return the transmission of joints that hold each other, and of an MJCF's fixed tendons.
 
     Parameters
     ----------
     robot : RobotModel
-        Whose joints they move; some may mimic others.
+        Whose joints they are, each still a coordinate.
+    kept : sequence of Kept
+        What stays as it is: joints that mimic others, and tendons of a length.
     motors : mapping
         Factors by joint of the tendons that motors pull, by the motors' names.
-    kept : iterable
-        Factors of tendons whose length stays what it is, and these lengths.
 
     Raises
     ------
     ModelError
-        When motors are too few or too many, or what is kept holds joints still.
+        When joints follow none or themselves, motors are too few or too many, or what is kept
+        holds joints still.
     """
-    tree, E = robot.tree_joints, robot.expansion
+    tree = robot.tree_joints[robot.n_base :]
 
-    def row(factors: Lengths) -> Array:
-        return np.array([factors.get(name, 0.0) for name in tree])
-
-    # What joints follow already: those that mimic others.
-    fixed = [(row(lengths), value) for lengths, value in kept]
-    for k, name in enumerate(tree):
-        if name not in robot.joint_names:
-            sources = {robot.joint_names[j]: -E[k, j] for j in np.flatnonzero(E[k]).tolist()}
-            fixed.append((row({name: 1.0} | sources), float(robot.offset[k])))
-    pulled = {motor: row(lengths) for motor, lengths in motors.items()}
-    if not pulled and len(fixed) == len(tree) - robot.n:
-        return None
-    rows, names = [each for each, _ in fixed] + list(pulled.values()), [*pulled]
-    if rows and np.linalg.matrix_rank(rows) < len(rows):
+    rows = [
+        np.array([lengths.get(name, 0.0) for name in tree])
+        for lengths in (*(each.factors for each in kept), *motors.values())
+    ]
+    for number, (factors, _, follower) in enumerate(kept, 1):
+        if follower is None:
+            continue
+        if unknown := [name for name in factors if name not in tree]:
+            raise ModelError(f"joint '{follower}' mimics '{unknown[0]}', which is no moving joint.")
+        if np.linalg.matrix_rank(rows[:number]) < number:
+            raise ModelError(f"mimic joints repeat each other in a circle at '{follower}'.")
+    if np.linalg.matrix_rank(rows) < len(rows):
         raise ModelError(
-            f"transmission: tendons of '{robot.name}' ({', '.join(names) or 'kept'}) move its "
+            f"transmission: tendons of '{robot.name}' ({', '.join(motors) or 'kept'}) move its "
             "joints alike; leave out those that follow from others."
         )
-    for name in robot.joint_names:
-        # Joints of their own: what no tendon pulls, or moves only with a joint before it.
-        if np.linalg.matrix_rank([*rows, row({name: 1.0})]) > len(rows):
-            rows.append(row({name: 1.0}))
-            names.append(name)
-    inverse = np.linalg.inv(rows)
-    matrix = np.where(np.abs(inverse) > _ROUNDED, inverse, 0.0)
-    values = np.array([value for _, value in fixed])
-    first = {
-        name: min(np.flatnonzero(matrix[:, len(fixed) + k]).tolist())
-        for k, name in enumerate(names)
-    }
-    order = sorted(range(len(names)), key=lambda k: first[names[k]])
-    columns = [len(fixed) + k for k in order]
-    offset = matrix[:, : len(fixed)] @ values
-    return Transmission(matrix[:, columns], offset, [names[k] for k in order], tree)
+    # Joints of their own: what nothing holds or pulls, or only with a joint before it.
+    followers, free = {each.follower for each in kept}, list[int]()
+    system = np.array(rows)
+    for k in sorted(range(len(tree)), key=lambda k: tree[k] in followers):
+        more = np.vstack([system, np.eye(len(tree))[k]])
+        if np.linalg.matrix_rank(more) > len(system):
+            free, system = [*free, k], more
+    rest = [k for k in range(len(tree)) if k not in free]
+    inverse = np.linalg.inv(system[: len(rows), rest])
+    # Columns of what is kept, of the motors, and of the joints of their own.
+    whole = np.zeros((len(tree), len(rows) + len(free)))
+    whole[rest] = np.hstack([inverse, -inverse @ system[: len(rows), free]])
+    whole[free, len(rows) + np.arange(len(free))] = 1.0
+    whole = np.where(np.abs(whole) > _ROUNDED, whole, 0.0)
+    names = [*motors, *(tree[k] for k in free)]
+    matrix = whole[:, len(kept) :]
+    places = [*np.argmax(matrix[:, : len(motors)] != 0.0, axis=0).tolist(), *free]
+    order = np.argsort(places, kind="stable")
+    offset = whole[:, : len(kept)] @ np.array([each.value for each in kept])
+    return Transmission(matrix[:, order], offset, [names[k] for k in order], tree)
+
+
+def following(robot: RobotModel, kept: Sequence[Kept]) -> RobotModel:
+    """Return a robot whose joints hold each other as its description says."""
+    return of_lengths(robot, kept, {})._moving(robot) if kept else robot
 
 
 def of_elements(root: Any, what: str) -> Transmission:
