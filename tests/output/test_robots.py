@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.descriptions.nearest_body import NEAREST, prove_nearest
+from sdpid.assurance.diagnostics.described import Resistances
 from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.errors import CertificateError, ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
@@ -46,7 +47,7 @@ from sdpid.friction import (
 from sdpid.output.robots.export_report import PLACES as URDF
 from sdpid.output.robots.export_report import ExportErrors, ExportReport, file_errors, urdf_errors
 from sdpid.output.robots.friction_files import cpp, friction_data, python, write_friction
-from sdpid.output.robots.joint_friction import Kind, LeftOut, added, joint_attributes
+from sdpid.output.robots.joint_friction import Kind, LeftOut, joint_attributes
 from sdpid.output.robots.mjcf import PLACES as MJCF
 from sdpid.output.robots.mjcf_skeleton import inertial_values
 from sdpid.output.robots.repair import TOKEN_MASS, repair_urdf
@@ -806,12 +807,14 @@ def test_joints_and_tendons_together_are_what_joints_alone_would_be(tmp_path: Pa
     assert coupled.left_out == ()
     assert "within" in coupled.notes[0]
     assert coupled.notes == plain.notes
-    armature, damping = added(coupled.tendons, ROBOT.joint_names)
-    assert damping.max() == 0.3
+    tendons = coupled.tendons.values()
+    assert max(each.attributes.get("damping", 0.0) for each in tendons) == 0.3
     for j, name in enumerate(ROBOT.joint_names):
         both = dict(coupled.values[name])
-        both["armature"] += armature[j]
-        both["damping"] += damping[j]
+        for attribute in ("armature", "damping"):
+            both[attribute] += sum(
+                x.way[j] ** 2 * x.attributes.get(attribute, 0.0) for x in tendons
+            )
         assert both == pytest.approx(plain.values[name], abs=1e-9)
 
 
@@ -1416,7 +1419,7 @@ def test_forces_of_contacts_are_no_friction() -> None:
     estimate = stated(problem, theta)
     numbers = [found.values[joint] for joint in made.robot.joint_names[6:]]
     written = [np.r_[np.zeros(6), [each[key] for each in numbers]] for key in URDF.values()]
-    attributes = written[0], written[1], np.zeros(18)
-    errors = file_errors(estimate, None, robot=problem.robot, attributes=attributes)
+    held = Resistances(np.eye(12), written[0][6:], written[1][6:], np.zeros(12))
+    errors = file_errors(estimate, None, robot=problem.robot, held=held)
     assert errors.estimate < 0.01
     assert errors.file < 0.05

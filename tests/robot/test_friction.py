@@ -14,6 +14,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt, horizontal_axes
+from sdpid.robot.friction.position import way_of
 from sdpid.robot.friction.term import (
     EffortCurve,
     FrictionTerm,
@@ -78,20 +79,25 @@ CURVES = {
 }
 
 
-def effort_of(curve: EffortCurve, v: Array) -> Array:
-    """Return what a curve says of the efforts (K, n), away from jumps."""
-    (j, other), size, effort = curve.joints, curve.size, np.zeros_like(v)
+def effort_of(curve: EffortCurve, s: Array) -> Array:
+    """Return what a curve says of the effort (K,) at velocities, away from jumps."""
+    size = curve.size
     if curve.kind in ("slope", "constant"):
-        effort[:, j] = size * (v[:, other] if curve.kind == "slope" else 1.0)
-        return effort
-    s = v[:, j] + (v[:, other] if other >= 0 else 0.0)
+        return size * (s if curve.kind == "slope" else np.ones_like(s))
     if curve.kind == "jump":
-        value = np.where(s > curve.numbers[0], size, curve.numbers[1])
-    else:
-        value = size * np.sign(s) * CURVES[curve.kind](np.abs(s), *curve.numbers)
-        value = np.where(curve.side * s < 0.0, 0.0, value)
-    for joint in {j, other} - {-1}:
-        effort[:, joint] = value
+        return np.where(s > curve.numbers[0], size, curve.numbers[1])
+    value = size * np.sign(s) * CURVES[curve.kind](np.abs(s), *curve.numbers)
+    return np.where(curve.side * s < 0.0, 0.0, value)
+
+
+def simulated_efforts(term: FrictionTerm, values: Array, v: Array) -> Array:
+    """Return what the curves of a term say of the efforts (K, n)."""
+    effort = np.zeros_like(v)
+    for acting, places, own in term.acting(values, NAMES):
+        ways = [way_of("term", place, None, NAMES)[0] for place in places]
+        for curve in simulated_curves(acting, own, [str(place) for place in places]):
+            way = ways[curve.joint]
+            effort += effort_of(curve, v @ way)[:, None] * way
     return effort
 
 
@@ -101,8 +107,7 @@ def test_a_simulation_takes_the_efforts_of_the_columns(term: FrictionTerm, seed:
     rng = np.random.default_rng(seed)
     v = rng.uniform(-2.0, 2.0, (50, 2))
     values = rng.uniform(0.1, 2.0, len(term.parameters(NAMES)))
-    curves = list(simulated_curves(term, values, NAMES))
-    found = np.sum([np.zeros_like(v), *(effort_of(each, v) for each in curves)], axis=0)
+    found = simulated_efforts(term, values, v)
     wanted = term.columns(v, np.zeros_like(v), NAMES) @ values
     # A term of one's own is taken as constant below the first speed that is looked at.
     atol = 2e-4 if isinstance(term, Waves) else 1e-9
@@ -133,9 +138,9 @@ def test_a_load_is_simulated_with_a_jump_where_its_sign_is_exact() -> None:
     term = LoadFriction(width=(0.0, 0.3), share=(0.5, 0.0), velocity=(0.2, 0.4))
     curves = list(simulated_curves(term, values, NAMES))
     assert curves == [
-        EffortCurve("load", (0, -1), 0.1, (0.5, 0.2, 0.0)),
-        EffortCurve("jump", (0, -1), 0.0, (0.0, 0.0, 0.0)),
-        EffortCurve("load", (1, -1), 0.2, (0.0, 0.4, 0.3)),
+        EffortCurve("load", 0, 0.1, (0.5, 0.2, 0.0)),
+        EffortCurve("jump", 0, 0.0, (0.0, 0.0, 0.0)),
+        EffortCurve("load", 1, 0.2, (0.0, 0.4, 0.3)),
     ]
     assert not list(simulated_curves(Tilt(), values, NAMES))
 

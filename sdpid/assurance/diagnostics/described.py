@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,15 +14,40 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.position import AtJoints
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import Coulomb, Coupling, Offset, RotorInertia, Viscous
+from sdpid.robot.friction.terms import Coulomb, Offset, RotorInertia, Viscous
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
-# Two joints each, and what acts crosswise: inertia, viscous and dry friction.
-Couplings = tuple[tuple[tuple[str, str], tuple[float, float, float]], ...]
-
 # Samples a piece: the regressor of a piece stays below some 100 MB for an arm.
 _CHUNK = 20_000
+
+
+class Resistances(NamedTuple):
+    """What a description has at m joints and tendons.
+
+    Attributes
+    ----------
+    ways : ndarray, shape (m, joints)
+        How their positions follow the robot's coordinates, but those of a floating base.
+    dry, damping, armature : ndarray, shape (m,)
+        Dry friction, damping and rotor inertia.
+    """
+
+    ways: Array
+    dry: Array
+    damping: Array
+    armature: Array
+
+    @classmethod
+    def of_joints(cls, robot: RobotModel) -> Resistances:
+        """Return those of the joints of a robot's own description."""
+        tree, first = robot.pin_model, robot.n_base
+        found = (np.array(x)[first:] for x in (tree.friction, tree.damping, tree.armature))
+        return cls(robot.expansion[first:, first:], *found)
+
+    def joined(self, *others: Resistances) -> Resistances:
+        """Return these and others."""
+        return Resistances(*map(np.concatenate, zip(self, *others, strict=True)))
 
 
 def described_coulomb(samples: Samples) -> Coulomb:
@@ -37,10 +63,8 @@ def described_dynamics(
     samples: Samples,
     *,
     bodies: Array | None = None,
-    attributes: tuple[Array, Array, Array] | None = None,
-    couplings: Couplings = (),
+    held: Resistances | None = None,
     offsets: Array | None = None,
-    behind: tuple[Array, Array, Array] | None = None,
     springs: Sequence[FrictionTerm] | None = None,
 ) -> RobotDynamics:
     """Return the dynamics that a description holds: links, dry friction, damping, armature.
@@ -53,15 +77,10 @@ def described_dynamics(
         What is to be predicted, which decides how sharp the sign of dry friction is.
     bodies : ndarray, shape (links, 10), optional
         By default those of the robot's own description.
-    attributes : tuple of ndarray, shape (n,) each, optional
-        Dry friction, damping and armature of the coordinates; by default the description's.
-    couplings : tuple, optional
-        Two joints each, and the inertia, viscous and dry friction of their common drive that act
-        crosswise (see `sdpid.friction.Coupling`).
+    held : Resistances, optional
+        By default those of the description.
     offsets : ndarray, shape (joints,), optional
-        Constant efforts of the joints.
-    behind : tuple of ndarray, shape (nv,) each, optional
-        Dry friction, damping and armature of joints behind a transmission.
+        Constant efforts of the coordinates.
     springs : sequence of Spring, optional
         Springs of known stiffness and rest; by default the description's.
 
@@ -69,26 +88,15 @@ def described_dynamics(
     -------
     RobotDynamics
     """
-    if attributes is None and robot.transmission is not None:
-        tree, none = robot.pin_model, np.zeros(robot.n)
-        attributes = none, none, none
-        behind = np.array(tree.friction), np.array(tree.damping), np.array(tree.armature)
-    elif attributes is None:
-        damping, friction = robot.described_friction()
-        attributes = friction, damping, robot.described_armature()
+    held = Resistances.of_joints(robot) if held is None else held
     links = np.asarray(robot.prior if bodies is None else bodies).ravel()
-    sharp = described_coulomb(samples)
-    width = float(np.max(sharp.width))  # type: ignore[arg-type]
-    drives = tuple(Coupling(*joints, width) for joints, _ in couplings)
-    terms: tuple[FrictionTerm, ...] = (sharp, Viscous(), RotorInertia(), *drives)
-    values = [each[robot.n_base :] for each in attributes]
-    values += [np.array(crosswise) for _, crosswise in couplings]
+    terms: tuple[FrictionTerm, ...] = (described_coulomb(samples), Viscous(), RotorInertia())
+    if not np.array_equal(held.ways, np.eye(robot.n - robot.n_base)):
+        places = tuple(map(tuple, held.ways.tolist()))
+        terms = tuple(AtJoints(term, places) for term in terms)
+    values = [held.dry, held.damping, held.armature]
     if offsets is not None:
         terms, values = (*terms, Offset()), [*values, offsets]
-    if behind is not None:
-        own = (sharp, Viscous(), RotorInertia())
-        terms += tuple(AtJoints(term, robot.tree_joints) for term in own)
-        values += behind
     terms += robot.springs if springs is None else tuple(springs)
     model = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
     known = [each.value for each in model.parameters if each.value is not None]

@@ -25,7 +25,7 @@ from sdpid.experiment.simulation.kernels.links import (
 )
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, PositionFriction, Tilt
-from sdpid.robot.friction.position import AtJoints, Hysteresis, PositionTerm, Spring, direction
+from sdpid.robot.friction.position import Hysteresis, PositionTerm, Spring, way_of
 from sdpid.robot.friction.term import simulated_curves
 from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -187,22 +187,22 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
     jumps: dict[tuple[float, ...], Array] = {}
     pulls = list[_Pull]()
     for term, own in terms.placed:
-        values, joints, D = coefficients[own], names, np.eye(n)
         if isinstance(term, Spring | PositionTerm | Hysteresis):
-            pulls += _pulls(term, values, robot, names)
+            pulls += _pulls(term, coefficients[own], robot, names)
             continue
-        if isinstance(term, AtJoints):
-            joints, term = term.joints, term.friction
-            D = np.array([direction("AtJoints", each, robot, names)[0] for each in joints])
-        for part in simulated_curves(term, values, joints):
-            i, j = part.joints
-            way = D[i] + (D[j] if j >= 0 and part.kind != "slope" else 0.0)
+        parts = [
+            (part, way_of(type(term).__name__, places[part.joint], robot, names)[0])
+            for acting, places, values in term.acting(coefficients[own], names)
+            for part in simulated_curves(acting, values, [str(place) for place in places])
+        ]
+        for part, way in parts:
+            i = part.joint
             if not way.any():
                 continue
             if part.kind == "slope":
-                viscous += part.size * np.outer(D[i], D[j])
+                viscous += part.size * np.outer(way, way)
             elif part.kind == "constant":
-                constant += part.size * D[i]
+                constant += part.size * way
             elif part.kind == "load":
                 load[i] = (part.size, *part.numbers)
             elif part.kind == "position":
@@ -270,7 +270,7 @@ def _pulls(
     ModelError
         For a function of one's own.
     """
-    way, shift = direction(type(term).__name__, term.joint, robot, names)
+    way, shift = way_of(type(term).__name__, term.joint, robot, names)
     if isinstance(term, Hysteresis):
         for value, slip in zip(values.tolist(), term.slips, strict=True):
             yield _Pull(PLAY, way, (shift, value, slip, 0.0))

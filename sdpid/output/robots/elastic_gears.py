@@ -87,7 +87,8 @@ def add_gears(text: Any, elasticity: Elasticity) -> tuple[str, ...]:
         read_mjcf(text.text(), text.what, folder=text.folder)
     except ModelError as cause:
         raise ExportError(f"with elastic gears: {cause}") from None
-    armature, stated = text.attributes()["attributes"][2], elasticity.rotor_inertia
+    held, stated = text.resistances(), elasticity.rotor_inertia
+    armature = held.armature @ held.ways**2
     off = stiff & (np.abs(armature - stated) > _SAME_ROTOR * np.maximum(armature, stated))
     for j in np.flatnonzero(off).tolist():
         notes.append(

@@ -11,7 +11,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain
-from sdpid.assurance.diagnostics.described import Couplings, described_dynamics
+from sdpid.assurance.diagnostics.described import Resistances, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
@@ -21,8 +21,6 @@ from sdpid.output.robots.joint_friction import (
     JointAttributes,
     Kind,
     LeftOut,
-    added,
-    crosswise,
     joint_attributes,
 )
 from sdpid.robot.friction.position import Spring
@@ -170,10 +168,8 @@ def file_errors(
     samples: Samples | None,
     *,
     robot: RobotModel,
-    attributes: tuple[Array, Array, Array],
-    couplings: Couplings = (),
+    held: Resistances,
     offsets: Array | None = None,
-    behind: tuple[Array, Array, Array] | None = None,
     springs: Sequence[Spring] = (),
 ) -> ExportErrors | None:
     """Return the errors of a file that was written from an estimate, given the numbers in it.
@@ -186,14 +182,10 @@ def file_errors(
         Where efforts are predicted; None for the problem's own, if there are any.
     robot : RobotModel
         Under gravity as a reader of the file has it.
-    attributes : tuple of ndarray, shape (n,) each
-        Dry friction, damping and armature of the robot's coordinates, read back from the file.
-    couplings : tuple
-        Of two joints each, what tendons do crosswise, read back from the file.
+    held : Resistances
+        Of the joints and tendons in the file.
     offsets : ndarray, shape (joints,), or None
         Constant efforts.
-    behind : tuple of ndarray, shape (nv,) each, or None
-        Dry friction, damping and armature of joints behind a transmission, read back from the file.
     springs : sequence of Spring, optional
         Those of the file.
     """
@@ -206,10 +198,8 @@ def file_errors(
         robot,
         samples,
         bodies=problem.feasible.bodies(theta),
-        attributes=attributes,
-        couplings=couplings,
+        held=held,
         offsets=offsets,
-        behind=behind,
         springs=springs,
     )
     return ExportErrors(
@@ -221,6 +211,7 @@ def file_errors(
 # The attributes that a URDF has for friction, and what others have for rotors.
 PLACES: dict[Kind, str] = {Coulomb: "friction", Viscous: "damping"}
 _OF_ROTORS = "armature"
+_ATTRIBUTES = (*PLACES.values(), _OF_ROTORS)
 
 
 def urdf_errors(estimate: Estimate, samples: Samples | None = None) -> ExportErrors | None:
@@ -252,41 +243,23 @@ def _errors_with(
 ) -> ExportErrors | None:
     """Return the errors of an estimate with attributes in place of its friction."""
     robot = estimate.problem.robot
-    damping, dry = (np.array(each) for each in friction_in(robot))
-    armature = np.zeros(len(dry))
-    for j, joint in enumerate(
-        robot.joint_names if robot.transmission is None else robot.tree_joints
-    ):
-        values = friction.values.get(joint, {})
-        dry[j] = values.get(PLACES[Coulomb], dry[j])
-        damping[j] = values.get(PLACES[Viscous], damping[j])
-        armature[j] = values.get(_OF_ROTORS, 0.0)
-    held = of_places(robot, dry, damping)
-    if robot.transmission is None:
-        more = added(friction.tendons, robot.joint_names)
-        held = {"attributes": (dry, damping + more[1], armature + more[0])}
+    held = Resistances.of_joints(robot)
+    held.armature[:] = 0.0
+    for numbers, attribute in zip(held[1:], _ATTRIBUTES, strict=True):
+        if any(attribute in own for own in friction.values.values()):
+            # Joints that follow others have what these have not.
+            joints = robot.tree_joints[robot.n_base :]
+            numbers[:] = [friction.values.get(joint, {}).get(attribute, 0.0) for joint in joints]
+    ways = [each.way for each in friction.tendons.values()]
+    tendons = [[x.attributes.get(a, 0.0) for a in _ATTRIBUTES] for x in friction.tendons.values()]
+    if ways:
+        held = held.joined(Resistances(np.array(ways), *np.array(tendons).T))
     return file_errors(
         estimate,
         samples,
         robot=robot.with_gravity(estimate.model().tilted_gravity),
-        couplings=crosswise(friction.tendons, robot.joint_names),
-        **held,
+        held=held,
     )
-
-
-def friction_in(robot: RobotModel) -> tuple[Array, Array]:
-    """Return viscous and Coulomb friction in a description: of joints, where motors move these."""
-    if robot.transmission is None:
-        return robot.described_friction()
-    return np.array(robot.pin_model.damping), np.array(robot.pin_model.friction)
-
-
-def of_places(robot: RobotModel, dry: Array, damping: Array) -> dict[str, Any]:
-    """Return friction of a file's joints as `file_errors` takes it."""
-    if robot.transmission is None:
-        return {"attributes": (dry, damping, np.zeros(robot.n))}
-    none = np.zeros(robot.n)
-    return {"attributes": (none, none, none), "behind": (dry, damping, np.zeros(len(dry)))}
 
 
 def given_up(estimate: Estimate, target: Target) -> str:

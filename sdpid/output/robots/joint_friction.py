@@ -4,15 +4,13 @@ A file has room for dry friction, damping and, in MJCF, armature. Identified ter
 than that are written as they are. Else those attributes are written that fit the recorded efforts
 best with the identified links held.
 
-The length of a fixed tendon of MuJoCo is q_i + s·q_j with s = ±1. Its armature A adds A to the
-diagonal of the mass matrix at both joints and s·A crosswise, its damping likewise; its dry friction
-acts with the sign of v_i + s·v_j. So a `Coupling` is tendons, less what they add to the joints
-themselves.
+A fixed tendon of MuJoCo is as long as a sum of joints' positions times factors: what moves no joint
+alone, such as motors of a transmission, or the one of a `Coupling`, becomes a tendon.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,7 +18,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.described import (
-    Couplings,
+    Resistances,
     described_coulomb,
     efforts_of_terms,
     rigid_efforts,
@@ -30,7 +28,6 @@ from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.prepare import SMOOTH
 from sdpid.output.robots.position_tendons import BentFriction, bent_friction
-from sdpid.robot.description.mjcf import MjcfTendon
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PositionFriction, Tilt
 from sdpid.robot.friction.position import AtJoints, Spring
@@ -93,6 +90,13 @@ class LeftOut:
         )
 
 
+class Tendon(NamedTuple):
+    """A position that moves no joint alone: factors (joints,) of coordinates, and attributes."""
+
+    way: Array
+    attributes: dict[str, Any]
+
+
 @dataclass(frozen=True)
 class JointAttributes:
     """Friction as attributes of joints.
@@ -107,29 +111,27 @@ class JointAttributes:
         How the numbers differ from the identified ones.
     fitted : bool
         Whether they are not the identified numbers.
-    tendons : tuple of MjcfTendon
-        Drives of two joints.
+    tendons : dict
+        What motors have that move no joint alone, by their names.
     offsets : dict
         Constant efforts by joint name.
     bent : dict
         Friction over position by joint name, as tendons.
-    motors : dict
-        Attributes and their numbers by the names of motors that move no joint alone.
     """
 
     values: dict[str, dict[str, Any]]
     left_out: tuple[LeftOut, ...] = ()
     notes: tuple[str, ...] = ()
     fitted: bool = False
-    tendons: tuple[MjcfTendon, ...] = ()
+    tendons: Mapping[str, Tendon] = field(default_factory=dict)
     offsets: Mapping[str, float] = field(default_factory=dict)
     bent: Mapping[str, BentFriction] = field(default_factory=dict)
 
-    def mean_of_bent(self, joint_names: Sequence[str]) -> Array:
-        """Return the mean dry friction (n,) of tendons over each joint's range."""
-        return np.array([self.bent[x].mean if x in self.bent else 0.0 for x in joint_names])
-
-    motors: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    def mean_of_bent(self, joint_names: Sequence[str]) -> Resistances:
+        """Return the mean dry friction of tendons over each joint's range."""
+        n = len(joint_names)
+        mean = [self.bent[x].mean if x in self.bent else 0.0 for x in joint_names]
+        return Resistances(np.eye(n), np.array(mean), np.zeros(n), np.zeros(n))
 
 
 def joint_attributes(
@@ -211,6 +213,10 @@ def joint_attributes(
             f"within {bends[worst].error:.2g} N·m of the identified one (joint '{worst}')",
         )
     seats = Seats(problem.robot, places.joints)
+    seats.tendons |= {
+        name: Tendon(way, {attributes[kind]: value for kind, value in own.items()})
+        for name, (way, own) in places.tendons.items()
+    }
     for kind, numbers in values.items():
         for joint, value in zip(places.joints, numbers, strict=True):
             seats.add(joint, kind, attributes[kind], float(value))
@@ -220,12 +226,13 @@ def joint_attributes(
         assert issubclass(own, JointwiseTerm)
         if isinstance(part.term.friction, Coulomb) and not _sharp(part.term.friction):
             notes += ("dry friction of joints behind the transmission lacks its smooth sign",)
-        for joint, value in zip(part.term.joints, part.values, strict=True):
+        for joint, value in zip(part.term.names, part.values, strict=True):
             seats.add(joint, own, attributes[own], float(value))
     for part in places.springs:
         seats.add_spring(part)
-    if seats.motors and not springs:
-        motors = ", ".join(seats.motors)
+    left = [] if springs else [name for name in seats.tendons if name in places.joints]
+    if left:
+        motors = ", ".join(left)
         notes += (f"no place for friction of motors that move joints together: {motors}",)
     return JointAttributes(
         seats.values,
@@ -233,7 +240,7 @@ def joint_attributes(
         notes + seats.notes,
         # What a joint has beside a tendon is not its parameter.
         fitted=not exact or bool(places.tendons),
-        tendons=places.tendons,
+        tendons={name: each for name, each in seats.tendons.items() if name not in left},
         offsets={
             joint: float(value)
             for part in places.offsets
@@ -242,7 +249,6 @@ def joint_attributes(
             )
         },
         bent=bends,
-        motors=seats.motors if springs else {},
     )
 
 
@@ -251,8 +257,10 @@ class Seats:
 
     Attributes
     ----------
-    values, motors : dict
-        Attributes and their numbers by name.
+    values : dict
+        Attributes and their numbers by joint.
+    tendons : dict
+        Motors that move no joint alone, by name.
     notes : tuple of str
         What has no place.
     """
@@ -260,16 +268,18 @@ class Seats:
     def __init__(self, robot: RobotModel, joints: Sequence[str]) -> None:
         self._robot, self._joints, self._seats = robot, joints, robot.seats()
         self.values: dict[str, dict[str, Any]] = {}
-        self.motors: dict[str, dict[str, Any]] = {}
+        self.tendons: dict[str, Tendon] = {}
         self.notes: tuple[str, ...] = ()
 
     def _place(self, name: str) -> tuple[dict[str, Any], str, float]:
         """Return the attributes of a motor's or a joint's place, its joint, and its factor."""
         if name not in self._joints:
             return self.values.setdefault(name, {}), name, 1.0
-        joint, factor = self._seats.get(name, ("", 1.0))
-        held = self.values if joint else self.motors
-        return held.setdefault(joint or name, {}), joint, factor
+        if name in self._seats:
+            joint, factor = self._seats[name]
+            return self.values.setdefault(joint, {}), joint, factor
+        way = np.eye(len(self._joints))[self._joints.index(name)]
+        return self.tendons.setdefault(name, Tendon(way, {})).attributes, "", 1.0
 
     def add(self, name: str, kind: Kind, attribute: str, value: float) -> None:
         """Add a number of a motor, or of a joint behind the transmission."""
@@ -317,10 +327,12 @@ class Places:
         Terms for which there is no place.
     behind, springs : list of Part
         Terms of joints behind a transmission, and springs, that have a place.
-    coupled, tendons : list of Part, tuple of MjcfTendon
-        Drives of two joints that become tendons, and these.
+    coupled : list of Part
+        Drives of two joints that become tendons.
+    tendons : dict
+        These by name: factors (n,) of the coordinates, and values by kind of term.
     added : dict of term to ndarray, shape (n,)
-        Armature and damping that tendons add at the joints themselves.
+        Armature and damping that they add at the joints themselves.
     holds_tendons : bool
         Whether the joints have all of that.
     offsets : list of Part
@@ -385,18 +397,36 @@ class Places:
                 self.springs.append(part)
             elif type(term) is not Tilt:
                 self.lost.append(part)
-        self.tendons = tuple(each for part in self.coupled for each in _tendons(part))
-        armature, damping = added(self.tendons, self.joints)
-        if np.any(armature > self.exact.get(RotorInertia, 0.0)):
+        self._couple()
+        if np.any(self.added[RotorInertia] > self.exact.get(RotorInertia, 0.0)):
             # Tendons that add more armature than the joints have: what is left is none.
-            self.lost, self.coupled, self.tendons = self.coupled + self.lost, [], ()
-            armature, damping = added((), self.joints)
-        self.added: dict[Kind, Array] = {RotorInertia: armature, Viscous: damping}
+            self.lost, self.coupled = self.coupled + self.lost, []
+            self._couple()
         self.holds_tendons = all(
             bool(np.all(more <= self.exact.get(kind, 0.0))) for kind, more in self.added.items()
         )
         stand_in = {Coulomb, Viscous} if self.curves or self.coupled else set()
         self.kinds = [kind for kind in attributes if kind in self.exact or kind in stand_in]
+
+    def _couple(self) -> None:
+        """Note the tendons of drives of two joints, and what they add at the joints."""
+        self.tendons: dict[str, tuple[Array, dict[Kind, float]]] = {}
+        self.added: dict[Kind, Array] = {
+            kind: np.zeros(len(self.joints)) for kind in (RotorInertia, Viscous)
+        }
+        every = (each for p in self.coupled for each in p.term.acting(p.values, self.joints))
+        for term, places, values in every:
+            kind = type(term)
+            assert issubclass(kind, JointwiseTerm)
+            for place, value in zip(places, values.tolist(), strict=True):
+                way = np.array(place)
+                if np.count_nonzero(way) == 1:
+                    # What the joint has of its own beside the motor.
+                    self.added[kind] -= value * way
+                elif value > 0.0:
+                    numbers = "_".join(str(j + 1) for j in np.flatnonzero(way))
+                    name = f"coupling_{numbers}" + ("_difference" if np.any(way < 0.0) else "")
+                    self.tendons.setdefault(name, (way, {}))[1][kind] = value
 
     def require_nonnegative(self, what: str) -> None:
         """Refuse identified values that have an attribute and are negative.
@@ -450,42 +480,6 @@ def _sharp(term: Coulomb) -> bool:
     """Return whether Coulomb friction is as sharp as that of a description."""
     widths = np.atleast_1d(np.asarray(term.width, dtype=np.float64))
     return term.dead_zone == 0.0 and bool(np.all(widths <= SMOOTH))
-
-
-def _tendons(part: Part) -> Iterator[MjcfTendon]:
-    """Yield the tendons of a drive: one, or two where inertia and damping differ in sign."""
-    assert isinstance(part.term, Coupling)
-    inertia, viscous, coulomb = part.values.tolist()
-    for sign, dry in ((1.0, max(coulomb, 0.0)), (-1.0, 0.0)):
-        values = max(sign * inertia, 0.0), max(sign * viscous, 0.0), dry
-        if any(values):
-            yield MjcfTendon((part.term.first, part.term.second), (1.0, sign), *values)
-
-
-def added(tendons: Iterable[MjcfTendon], joint_names: Sequence[str]) -> tuple[Array, Array]:
-    """Return armature and damping (joints,) that tendons add at the joints themselves."""
-    armature, damping = np.zeros((2, len(joint_names)))
-    for each in tendons:
-        for joint, factor in zip(each.joints, each.factors, strict=True):
-            if joint in joint_names:
-                armature[joint_names.index(joint)] += factor**2 * each.armature
-                damping[joint_names.index(joint)] += factor**2 * each.damping
-    return armature, damping
-
-
-def crosswise(tendons: Iterable[MjcfTendon], joint_names: Sequence[str]) -> Couplings:
-    """Return the crosswise inertia, viscous and dry friction of tendons by two joints.
-
-    Dry friction of the joints' sum alone: a `Coupling` has no other.
-    """
-    found: dict[tuple[str, str], Array] = {}
-    for each in tendons:
-        if {*each.joints} <= {*joint_names}:
-            sign = each.factors[0] * each.factors[1]
-            dry = each.frictionloss if each.factors == (1.0, 1.0) else 0.0
-            values = np.array([sign * each.armature, sign * each.damping, dry])
-            found[each.joints] = found.get(each.joints, np.zeros(3)) + values
-    return tuple((joints, (a, b, c)) for joints, (a, b, c) in found.items())
 
 
 class System(NamedTuple):

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid.assurance.diagnostics.described import Couplings
+from sdpid.assurance.diagnostics.described import Resistances
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.elasticity.result import Elasticity
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.elastic_gears import add_gears
 from sdpid.output.robots.export_report import ExportReport, file_errors
-from sdpid.output.robots.joint_friction import Kind, added, crosswise, joint_attributes
+from sdpid.output.robots.joint_friction import Kind, Tendon, joint_attributes
 from sdpid.output.robots.mjcf_skeleton import (
     add_tendon,
     inertial_values,
     mjcf_skeleton,
-    motor_tendons,
+    tendon_factors,
 )
 from sdpid.output.robots.position_tendons import BentFriction, tendon_elements
 from sdpid.output.robots.urdf import Urdf
@@ -34,9 +34,9 @@ from sdpid.output.robots.written_bodies import (
     standard_parameters,
 )
 from sdpid.robot.description.bodies import Inertial
-from sdpid.robot.description.mjcf import MjcfTendon, read_mjcf
+from sdpid.robot.description.mjcf import read_mjcf
 from sdpid.robot.description.xml import add_child, is_mjcf, is_xml, numbers, parse_xml, relative
-from sdpid.robot.friction.position import Spring, direction
+from sdpid.robot.friction.position import Spring, way_of
 from sdpid.robot.friction.terms import Coulomb, Offset, RotorInertia, Viscous
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
@@ -149,21 +149,19 @@ def write_mjcf(
         notes += (f"gravity is {text.write_gravity()} m/s²: its base stands tilted, as found",)
     text.dry = STEEP if steep else {}
     text.write_joints(friction.values)
-    text.write_tendons(friction.tendons, problem.friction.joint_names)
+    text.write_tendons(friction.tendons)
     text.write_bent(friction.bent)
-    text.write_motors(friction.motors)
     text.write_offsets(friction.offsets)
     written = text.read_back(bodies)
-    held = written.attributes()
-    dry, damping, armature = held.pop("attributes")
+    held = written.resistances()
+    if friction.bent:
+        # Of friction over position its mean: a description has no more.
+        held = held.joined(friction.mean_of_bent(problem.friction.joint_names))
     errors = partial(
         file_errors,
         estimate,
         robot=robot,
-        # Of friction over position its mean: a description has no more.
-        attributes=(dry + friction.mean_of_bent(robot.joint_names), damping, armature),
-        **held,
-        couplings=written.couplings(),
+        held=held,
         springs=written.springs(),
         offsets=text.constant(friction.offsets) if friction.offsets else None,
     )
@@ -345,21 +343,6 @@ class Mjcf(RobotText):
             return elements[0]
         raise ExportError(f"{self.what}: joint '{name}' is not written where its body is.")
 
-    def write_tendons(self, tendons: Sequence[MjcfTendon], joint_names: Sequence[str]) -> None:
-        """Write drives of two joints."""
-        from lxml import etree
-
-        elements = []
-        for each in tendons:
-            name = "coupling_{}_{}".format(*(joint_names.index(joint) + 1 for joint in each.joints))
-            given = {key: getattr(each, key) for key in ("armature", "damping", "frictionloss")}
-            attributes = {key: numbers(value) for key, value in given.items() if value}
-            attributes = {"name": name + "_difference" * (each.factors[1] < 0.0), **attributes}
-            elements.append(etree.Element("fixed", attributes))
-            for joint, factor in zip(each.joints, each.factors, strict=True):
-                etree.SubElement(elements[-1], "joint", joint=joint, coef=numbers(factor))
-        self.append("tendon", elements)
-
     def write_bent(self, bent: Mapping[str, BentFriction]) -> None:
         """Write friction over position."""
         elements, model = [], self.robot.pin_model
@@ -370,36 +353,36 @@ class Mjcf(RobotText):
             elements += tendon_elements(self.robot, i, each, child, parent)
         self.append("tendon", elements)
 
-    def write_motors(self, motors: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write motors that move no joint alone as tendons, whose length is their position."""
+    def write_tendons(self, tendons: Mapping[str, Tendon]) -> None:
+        """Write what moves no joint alone as tendons; the length of a motor's is its position."""
         from lxml import etree
 
-        robot, found = self.robot, etree.Element("tendon")
-        own = motor_tendons(robot) if robot.transmission is not None else {}
+        robot, found, drives = self.robot, etree.Element("tendon"), []
+        seats, units = robot.seats(), np.eye(robot.n)[robot.n_base :, robot.n_base :]
+        names = robot.joint_names[robot.n_base :]
+        motors = {x: Tendon(unit, {}) for x, unit in zip(names, units, strict=True)}
+        every = {x: each for x, each in motors.items() if x not in seats} | dict(tendons)
         # Tendons that the source has for a motor keep their factors.
         there = {
             robot.joint_names[j]: (self.root.find(f"tendon/fixed[@name='{name}']"), gear, shift)
-            for i, (j, gear, shift) in (self._source.moved(robot) if own else {}).items()
+            for i, (j, gear, shift) in self._source.moved(robot).items()
             if (name := self._source.model.tendon(i).name)
         }
-        for motor, factors in own.items():
-            tendon, gear, shift = there.get(motor, (None, 1.0, 0.0))
+        for name, (way, attributes) in every.items():
+            tendon, gear, shift = there.get(name, (None, 1.0, 0.0))
             if tendon is None:
-                shift = sum(
-                    x * robot.offset[robot.tree_joints.index(j)] for j, x in factors.items()
-                )
-                tendon, gear = add_tendon(found, {"name": motor}, factors), 1.0
-            given = in_lengths(motors.get(motor, {}), gear, float(shift))
-            steep = STEEP if given.get("frictionloss") else {}
+                factors = tendon_factors(robot, way)
+                tendon, shift = add_tendon(found, {"name": name}, factors), robot.way(factors)[1]
+                gear = 1.0
+            given = in_lengths(attributes, gear, shift)
+            steep = STEEP if name in motors and given.get("frictionloss") else {}
             tendon.attrib.update({key: numbers(value) for key, value in given.items()} | steep)
         self.append("tendon", list(found))
-        if self.ours and robot.transmission is not None:
-            drives = []
-            for motor in robot.joint_names:
-                joint, factor = robot.seats().get(motor, ("", 1.0))
-                at = {"joint": joint, "gear": numbers(1.0 / factor)} if joint else {"tendon": motor}
-                drives.append(etree.Element("motor", name=motor, **at))
-            self.append("actuator", drives)
+        for motor in names if self.ours and not robot.direct else ():
+            joint, factor = seats.get(motor, ("", 1.0))
+            at = {"joint": joint, "gear": numbers(1.0 / factor)} if joint else {"tendon": motor}
+            drives.append(etree.Element("motor", name=motor, **at))
+        self.append("actuator", drives)
 
     def write_offsets(self, offsets: Mapping[str, float]) -> None:
         """Write constant efforts: what a drive gives beside them moves the joint."""
@@ -417,7 +400,7 @@ class Mjcf(RobotText):
     def constant(self, offsets: Mapping[str, float]) -> Array:
         """Return the constant efforts (joints,) of motors and joints on the coordinates."""
         names = self.robot.joint_names[self.robot.n_base :]
-        ways = (direction("offset", each, self.robot, names)[0] for each in offsets)
+        ways = (way_of("offset", each, self.robot, names)[0] for each in offsets)
         return np.asarray(
             sum(value * way for value, way in zip(offsets.values(), ways, strict=True))
         )
@@ -452,45 +435,23 @@ class Mjcf(RobotText):
         states = self.states()
         self.require_same_efforts(
             self.robot.inverse_dynamics(bodies, *states),
-            model.efforts_of_bodies(model.prior, written._positions(states[0]), *states[1:]),
+            model.efforts_of_bodies(model.prior, *states),
             "the source's joints are placed, turned or counted differently, or it overrides "
             "inertials (inertiafromgeom, boundmass, settotalmass). Give the MJCF of the robot "
             "that was identified.",
         )
         return written
 
-    def _positions(self, position: Array) -> Array:
-        """Return the robot's positions as the file's model takes them."""
-        if not self.robot.free_flyer:
-            return position
-        angles = np.zeros((len(position), len(self._order)))
-        for joint, at in zip(list(self.robot.pin_model.joints)[2:], self._order[6:], strict=True):
-            own = position[:, joint.idx_q : joint.idx_q + joint.nq]
-            angles[:, at] = own[:, 0] if joint.nq == 1 else np.arctan2(own[:, 1], own[:, 0])
-        found = self.model.configuration_of(angles)
-        found[:, :7] = position[:, :7]
-        return found
-
-    def attributes(self) -> dict[str, Any]:
-        """Return dry friction, damping and armature as `file_errors` takes them."""
-        if self.robot.transmission is not None:
-            found, model = self._source.of_motors(self.robot), self.model.pin_model
-            motors = tuple(found[key] for key in ("frictionloss", "damping", "armature"))
-            joints = (x[self._order] for x in (model.friction, model.damping, model.armature))
-            return {"attributes": motors, "behind": tuple(joints)}
-        damping, dry = self.model.described_friction()
-        armature, viscous = added(self._source.tendons(), self.robot.joint_names)
-        return {"attributes": (dry, damping + viscous, self.model.described_armature() + armature)}
+    def resistances(self) -> Resistances:
+        """Return dry friction, damping and armature of joints and fixed tendons."""
+        joints, first = Resistances.of_joints(self.model), self.robot.n_base
+        found = [(self.robot.way(x)[0][first:], *own) for x, own in self._source.tendons()]
+        tendons = (np.array(each) for each in zip(*found, strict=True))
+        return joints.joined(Resistances(*tendons)) if found else joints
 
     def springs(self) -> tuple[Spring, ...]:
         """Return the springs of the file."""
         return tuple(self._source.springs(self.robot))
-
-    def couplings(self) -> Couplings:
-        """Return what tendons do crosswise."""
-        behind = self.robot.transmission is not None
-        motors = self._source.moved(self.robot) if behind else ()
-        return crosswise(self._source.tendons(motors), self.robot.joint_names)
 
 
 def _own(element: Any, tag: str) -> Iterator[Any]:

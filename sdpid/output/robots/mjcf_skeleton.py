@@ -193,13 +193,9 @@ def add_tendon(parent: Any, attributes: Mapping[str, str], factors: Mapping[str,
     return tendon
 
 
-def motor_tendons(robot: RobotModel) -> dict[str, dict[str, float]]:
-    """Return the joints' factors in the position of every motor that moves no joint alone."""
-    own, seats = robot.independent(), robot.seats()
-    inverse = np.linalg.inv(robot.expansion[own])
-    names = [robot.tree_joints[k] for k in own]
-    return {
-        motor: {joint: float(x) for joint, x in zip(names, row, strict=True) if abs(x) > _ROUNDED}
-        for motor, row in zip(robot.joint_names, inverse, strict=True)
-        if motor not in seats
-    }
+def tendon_factors(robot: RobotModel, way: Array) -> dict[str, float]:
+    """Return the joints' factors in a sum of coordinates (joints,) but those of a floating base."""
+    own = [k for k in robot.independent() if k >= robot.n_base]
+    found = np.linalg.solve(robot.expansion[own][:, robot.n_base :].T, way)
+    names = (robot.tree_joints[k] for k in own)
+    return {name: float(x) for name, x in zip(names, found, strict=True) if abs(x) > _ROUNDED}

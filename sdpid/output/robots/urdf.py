@@ -10,15 +10,10 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, real_array
+from sdpid.assurance.diagnostics.described import Resistances
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
-from sdpid.output.robots.export_report import (
-    PLACES,
-    ExportReport,
-    file_errors,
-    friction_in,
-    of_places,
-)
+from sdpid.output.robots.export_report import PLACES, ExportReport, file_errors
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.written_bodies import (
     Fixed,
@@ -116,8 +111,8 @@ def write_urdf(
         angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
         notes += (f"its base stands tilted by {angle:.3g}° on a new root link '{LINK}', as found",)
     seen = robot.with_gravity(turn.T @ robot.gravity)
-    damping, dry = friction_in(text.read_back(bodies, seen=seen))
-    errors = partial(file_errors, estimate, robot=seen, **of_places(robot, dry, damping))
+    held = Resistances.of_joints(text.read_back(bodies, seen=seen))
+    errors = partial(file_errors, estimate, robot=seen, held=held)
     if robot.transmission is not None:
         notes += (f"of the transmission a URDF has place for mimic joints alone: {_ASIDE}",)
     return text.save(target, friction, notes, errors)

@@ -7,8 +7,7 @@ counted first, with all that it includes and repeats, and has a limit.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,7 +34,7 @@ _CELLS = ("nrow", "ncol", "width", "height")
 _REPEATED = ("replicate", "composite", "flexcomp")
 
 # What a fixed tendon adds to its joints.
-_OF_TENDONS = ("armature", "damping", "frictionloss")
+_OF_TENDONS = ("frictionloss", "damping", "armature")
 # Of MuJoCo's model, what is read of it.
 _ARRAYS = (
     *("body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia"),
@@ -154,17 +153,6 @@ class MjcfBody(NamedTuple):
     placement: Array
     theta: Array
     joints: list[int]
-
-
-@dataclass(frozen=True)
-class MjcfTendon:
-    """A fixed tendon over two joints, of length ``factors[0]·q1 + factors[1]·q2``."""
-
-    joints: tuple[str, str]
-    factors: tuple[float, float]
-    armature: float
-    damping: float
-    frictionloss: float
 
 
 def read_mjcf(
@@ -363,15 +351,6 @@ class MjcfModel:
         moved = set(model.actuator_trnid[:, 0].tolist())
         return [name for i, name in enumerate(self.names) if i not in moved]
 
-    def of_motors(self, robot: Any) -> dict[str, Array]:
-        """Return dry friction, damping and armature (n,) of tendons that one coordinate moves."""
-        found = {key: np.zeros(robot.n) for key in _OF_TENDONS}
-        for i, (j, gear, _) in self.moved(robot).items():
-            for key, values in found.items():
-                power = 1 if key == "frictionloss" else 2
-                values[j] += abs(gear) ** power * getattr(self.model, f"tendon_{key}")[i]
-        return found
-
     def motors(self) -> dict[str, dict[str, float]]:
         """Return factors by joint of the fixed tendons that actuators pull, by these, gears in."""
         model, found = self.model, dict[str, dict[str, float]]()
@@ -433,16 +412,11 @@ class MjcfModel:
         free = self.model.jnt_type == int(self.kinds.mjtJoint.mjJNT_FREE)
         return np.asarray((self.model.jnt_stiffness > 0.0) & ~free)
 
-    def tendons(self, without: Collection[int] = ()) -> Iterator[MjcfTendon]:
-        """Yield the fixed tendons over two joints, but those of some numbers."""
-        model = self.model
-        for i, first in enumerate(model.tendon_adr.tolist()):
-            of_joints = self._of_joints(i)
-            if model.tendon_num[i] == 2 and of_joints and i not in without:
-                one, two = (self.names[model.wrap_objid[k]] for k in (first, first + 1))
-                factors = float(model.wrap_prm[first]), float(model.wrap_prm[first + 1])
-                values = (float(getattr(model, f"tendon_{key}")[i]) for key in _OF_TENDONS)
-                yield MjcfTendon((one, two), factors, *values)
+    def tendons(self) -> Iterator[tuple[dict[str, float], tuple[float, ...]]]:
+        """Yield factors by joint of the fixed tendons, dry friction, damping and armature."""
+        for i in filter(self._of_joints, range(self.model.ntendon)):
+            own = (float(getattr(self.model, f"tendon_{key}")[i]) for key in _OF_TENDONS)
+            yield self._factors(i), tuple(own)
 
     def forces(self, robot: Any) -> Iterator[str]:
         """Yield what no term of a robot stands for, in words.

@@ -210,9 +210,9 @@ class LoadFriction(PosedTerm):
         widths, none = self.speed("width", n).tolist(), (0.0,) * n
         speeds = self.speed("velocity", n).tolist() if self.share else none
         for j, numbers in enumerate(zip(self.share or none, speeds, widths, strict=True)):
-            yield EffortCurve("load", (j, -1), float(values[j]), numbers)
+            yield EffortCurve("load", j, float(values[j]), numbers)
             if widths[j] == 0.0 and numbers[0] < 1.0:
-                yield EffortCurve("jump", (j, -1), 0.0, (0.0, 0.0, 0.0))
+                yield EffortCurve("jump", j, 0.0, (0.0, 0.0, 0.0))
 
     def sign(self, velocity: Array, acceleration: Array) -> Array:
         """Return what the size of the load is multiplied by, (K, n)."""
@@ -293,10 +293,10 @@ class PositionFriction(FrictionTerm):
         """Yield the parabolas and their ranges, and where their signs jump."""
         widths, three = self.speed("width", len(joint_names)), np.reshape(values, (3, -1)).T
         for j, (a, b, c) in enumerate(three.tolist()):
-            yield EffortCurve("position", (j, -1), float(widths[j]), (a, b, c))
-            yield EffortCurve("range", (j, -1), 1.0, (self.lower[j], self.upper[j], 0.0))
+            yield EffortCurve("position", j, float(widths[j]), (a, b, c))
+            yield EffortCurve("range", j, 1.0, (self.lower[j], self.upper[j], 0.0))
             if widths[j] == 0.0:
-                yield EffortCurve("jump", (j, -1), 0.0, (0.0, 0.0, 0.0))
+                yield EffortCurve("jump", j, 0.0, (0.0, 0.0, 0.0))
 
     columns = PosedTerm.columns
 

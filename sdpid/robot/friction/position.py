@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -13,7 +13,13 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.posed import PosedTerm
-from sdpid.robot.friction.term import FrictionTerm, OfMotion, SampledMotion, TermParameter
+from sdpid.robot.friction.term import (
+    FrictionTerm,
+    OfMotion,
+    Place,
+    SampledMotion,
+    TermParameter,
+)
 
 # Parameters of a spring that is not linear.
 _BENT = ("Kq", "Kc")
@@ -50,17 +56,18 @@ class OneJoint(FrictionTerm):
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the shapes of the joint's position, on the joints that move it."""
-        robot = motion.robot
-        way, offset = direction(type(self).__name__, self.joint, robot, joint_names)
+        robot, n = motion.robot, len(joint_names)
+        way, offset = way_of(type(self).__name__, self.joint, robot, joint_names)
 
         def shapes(positions: Array) -> Array:
-            return self._shapes(positions[:, -len(way) :] @ way + offset)
+            return self._shapes(positions[:, -n:] @ way + offset)
 
-        # Configurations of a floating base hold joints that turn without end as two numbers.
-        if robot.n_base and robot.pin_model.nq != 7 + len(joint_names):
+        pose = 7 if robot.n_base else 0
+        if motion.position.shape[1] != pose + n:
             raise ModelError(
-                f"{type(self).__name__}: the base of '{robot.name}' floats, and joints mimic "
-                "others or turn without end; leave it out."
+                f"{type(self).__name__}: positions of '{robot.name}' have "
+                f"{motion.position.shape[1]} columns, which are not one of each of {n} joints "
+                f"behind the base's {pose}; give these in place of configurations."
             )
         return np.asarray(motion.along(shapes)[:, None, :] * way[:, None])
 
@@ -69,21 +76,21 @@ class OneJoint(FrictionTerm):
         """Return the efforts (K, parameters) of parameters of one at positions (K,) in time."""
 
 
-def direction(what: str, joint: str, robot: Any, joint_names: Sequence[str]) -> tuple[Array, float]:
-    """Return how a joint's position follows the recorded ones: factors (n,) and an offset."""
-    if joint in joint_names:
-        return np.eye(len(joint_names))[joint_names.index(joint)], 0.0
-    rows = dict(
-        zip(robot.tree_joints, zip(robot.expansion, robot.offset, strict=True), strict=True)
-    )
-    if joint not in rows:
-        behind = [name for name in rows if name not in joint_names]
+def way_of(what: str, place: Place, robot: Any, joint_names: Sequence[str]) -> tuple[Array, float]:
+    """Return how a position follows the recorded ones: factors (n,) and an offset."""
+    if not isinstance(place, str):
+        return np.array(place), 0.0
+    if place in joint_names:
+        return np.eye(len(joint_names))[joint_names.index(place)], 0.0
+    tree = () if robot is None else robot.tree_joints
+    if place not in tree:
+        behind = [name for name in tree[robot.n_base :] if name not in joint_names]
         more = f", behind its transmission {', '.join(behind)}" if behind else ""
         raise ModelError(
-            f"{what}: the robot has no joint '{joint}'; it has {', '.join(joint_names)}{more}."
+            f"{what}: the robot has no joint '{place}'; it has {', '.join(joint_names)}{more}."
         )
-    factors, offset = rows[joint]
-    return factors[robot.n_base :], float(offset)
+    way, offset = robot.way({place: 1.0})
+    return way[robot.n_base :], offset
 
 
 @dataclass(frozen=True)
@@ -290,7 +297,8 @@ class AtJoints(FrictionTerm):
     friction : FrictionTerm
         What acts on each of the joints.
     joints : tuple of str
-        The joints.
+        The joints. In place of a name there may be the factors of all recorded joints, one each:
+        the term then acts on the sum of these.
 
     Examples
     --------
@@ -301,7 +309,7 @@ class AtJoints(FrictionTerm):
     """
 
     friction: FrictionTerm
-    joints: tuple[str, ...]
+    joints: tuple[Place, ...]
     posed: ClassVar[bool] = True
 
     columns = PosedTerm.columns
@@ -315,13 +323,20 @@ class AtJoints(FrictionTerm):
             )
         object.__setattr__(self, "joints", tuple(self.joints))
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints; sums of joints have numbers."""
+        return tuple(
+            place if isinstance(place, str) else f"sum{k}" for k, place in enumerate(self.joints, 1)
+        )
+
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return those of the term, called by the joints' names."""
-        found = self.friction.parameters(self.joints)
+        found = self.friction.parameters(self.names)
         return tuple(
             replace(
                 each,
-                name=f"{_NUMBER.sub('', each.name)}_{self.joints[each.joint]}",
+                name=f"{_NUMBER.sub('', each.name)}_{self.names[each.joint]}",
                 joint=min(each.joint, len(joint_names) - 1),
             )
             for each in found
@@ -329,25 +344,31 @@ class AtJoints(FrictionTerm):
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the term's columns at the motion of its joints, on the joints that move them."""
-        found = [direction("AtJoints", j, motion.robot, joint_names) for j in self.joints]
-        directions = np.array([way for way, _ in found])
-        offsets = np.array([offset for _, offset in found])
-        n, through = directions.shape[1], motion.through_filter
+        ways = np.array(
+            [way_of("AtJoints", place, motion.robot, joint_names)[0] for place in self.joints]
+        )
+        through = motion.through_filter
 
         def through_filter(function: OfMotion, key: Hashable | None) -> Array:
             assert through is not None
             mapped = None if key is None else (self, key)
-            return through(lambda v, a: function(v @ directions.T, a @ directions.T), mapped)
+            return through(lambda v, a: function(v @ ways.T, a @ ways.T), mapped)
 
+        # Its term does not depend on positions.
         own = SampledMotion(
-            position=motion.position[:, -n:] @ directions.T + offsets,
-            velocity=motion.velocity @ directions.T,
-            acceleration=motion.acceleration @ directions.T,
+            position=motion.position,
+            velocity=motion.velocity @ ways.T,
+            acceleration=motion.acceleration @ ways.T,
             robot=motion.robot,
             through_filter=None if through is None else through_filter,
         )
-        columns = self.friction.columns_in(own, self.joints)
-        return np.asarray(np.einsum("jn,kjp->knp", directions, columns))
+        return np.asarray(ways.T @ self.friction.columns_in(own, self.names))
+
+    def acting(
+        self, values: Array, joint_names: Sequence[str]
+    ) -> Iterator[tuple[FrictionTerm, Sequence[Place], Array]]:
+        """Yield its term, on its joints."""
+        yield self.friction, self.joints, values
 
     def with_values(self, values: Sequence[float]) -> FrictionTerm:
         """Return a copy with values for the open parameters of its term."""

@@ -50,6 +50,9 @@ _JUMP = 1e-4
 _STANDING = 1.0
 
 
+# Where a term acts: a recorded or another joint by name, or factors of the recorded joints.
+Place = str | tuple[float, ...]
+
 # A function of joint velocities and accelerations, (M, n) each, to values (M, ...).
 OfMotion = Callable[[Array, Array], Array]
 
@@ -153,7 +156,7 @@ class EffortCurve(NamedTuple):
     Attributes
     ----------
     kind : str
-        ``"slope"``: `size` times the other joint's velocity. ``"constant"``: `size`. ``"jump"``: at
+        ``"slope"``: `size` times the velocity. ``"constant"``: `size`. ``"jump"``: at
         the velocity `numbers[0]`, from `numbers[1]` to `size`. ``"load"``: `size` times the load
         and a sign, with share and speed of a sigmoid and the width of the sign. ``"position"``: a
         sign of the width `size` times a parabola with the control values `numbers`, ``"range"``:
@@ -161,9 +164,8 @@ class EffortCurve(NamedTuple):
         without jumps, where s is the speed: ``"tanh"``: ``tanh(s/w)`` beyond a dead zone (1, dead
         zone, w); ``"root"``: √s; ``"peak"``: ``exp(−(s/a)^b) − 1`` (a, b, 1); ``"smooth_peak"``:
         ``exp(−(s/a)^b)·tanh(s/w)`` (a, b, w); ``"line"``: a slope between two speeds (1, from, to).
-    joints : tuple of int
-        The joint it acts on, and the other one, -1 for none: smooth curves and jumps of two joints
-        act on both, at their summed velocity.
+    joint : int
+        The joint it acts on.
     size : float
         What it is multiplied by.
     numbers : tuple of float
@@ -173,25 +175,25 @@ class EffortCurve(NamedTuple):
     """
 
     kind: str
-    joints: tuple[int, int]
+    joint: int
     size: float
     numbers: tuple[float, float, float] = (1.0, 1.0, 1.0)
     side: int = 0
 
 
 def sign_curves(
-    joints: tuple[int, int], size: float, width: float, dead_zone: float, side: int = 0
+    joint: int, size: float, width: float, dead_zone: float, side: int = 0
 ) -> Iterator[EffortCurve]:
     """Yield the curve and the jumps of a sign, exact or smooth, beyond a dead zone."""
     at_edge = size * (math.tanh(dead_zone / width) if width > 0.0 else 1.0)
     if width > 0.0:
-        yield EffortCurve("tanh", joints, size, (1.0, dead_zone, width), side)
+        yield EffortCurve("tanh", joint, size, (1.0, dead_zone, width), side)
     if width > 0.0 and not dead_zone:
         return
     if side >= 0:
-        yield EffortCurve("jump", joints, at_edge, (dead_zone, 0.0, 0.0))
+        yield EffortCurve("jump", joint, at_edge, (dead_zone, 0.0, 0.0))
     if side <= 0:
-        yield EffortCurve("jump", joints, 0.0, (-dead_zone if dead_zone else 0.0, -at_edge, 0.0))
+        yield EffortCurve("jump", joint, 0.0, (-dead_zone if dead_zone else 0.0, -at_edge, 0.0))
 
 
 @dataclass(frozen=True)
@@ -331,6 +333,15 @@ class FrictionTerm(ABC):
             self.columns(v, a, joint_names) for v, a in zip(velocity, acceleration, strict=True)
         )
         return low, high
+
+    def acting(
+        self, values: Array, joint_names: Sequence[str]
+    ) -> Iterator[tuple[FrictionTerm, Sequence[Place], Array]]:
+        """Yield what acts with parameters of these values: terms, where, and their own values.
+
+        By default the term itself, on the joints.
+        """
+        yield self, joint_names, values
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the effort of parameters of these values, curve by curve.
@@ -508,12 +519,12 @@ class JointwiseTerm(FrictionTerm):
         slopes, ends = np.diff(still, axis=1) / np.diff(v, axis=1), [*_SPEEDS[:-1], np.inf]
         for side, k, j in np.argwhere(slopes != 0.0).tolist():
             numbers = (1.0, float(ends[k]), float(ends[k + 1]))
-            yield EffortCurve("line", (j, -1), float(slopes[side, k, j]), numbers, 2 * side - 1)
+            yield EffortCurve("line", j, float(slopes[side, k, j]), numbers, 2 * side - 1)
         for j, (low, high) in enumerate(still[:, 0].T.tolist()):
             if abs(high - low) > _JUMP * np.abs(still[..., j]).max():
-                yield EffortCurve("jump", (j, -1), high, (0.0, low, 0.0))
+                yield EffortCurve("jump", j, high, (0.0, low, 0.0))
             else:
-                yield EffortCurve("constant", (j, -1), 0.5 * (low + high))
+                yield EffortCurve("constant", j, 0.5 * (low + high))
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the columns as they stand in filtered efforts: diagonal in the joints."""

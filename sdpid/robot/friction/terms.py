@@ -20,6 +20,7 @@ from sdpid.robot.friction.term import (
     FrictionTerm,
     JointwiseTerm,
     OpenParameter,
+    Place,
     SampledMotion,
     TermParameter,
     check_speeds,
@@ -30,6 +31,9 @@ from sdpid.robot.friction.term import (
 
 # Far out a power may overflow; the Stribeck peak is zero long before.
 _STEEPEST = 50.0
+
+# Of a motor and the two joints that it turns, whose own terms hold what is theirs alone.
+_CROSSWISE = np.array([1.0, -1.0, -1.0])
 
 # A speed of a term: one for all joints, one per joint, or None to fit it to the data.
 Speed = float | tuple[float, ...] | None
@@ -85,7 +89,7 @@ class Coulomb(_EffortTerm):
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the signs."""
         for j, width in enumerate(self.speed("width", len(values)).tolist()):
-            yield from sign_curves((j, -1), float(values[j]), width, self.dead_zone)
+            yield from sign_curves(j, float(values[j]), width, self.dead_zone)
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ class Viscous(_EffortTerm):
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the slopes."""
         for j, value in enumerate(values.tolist()):
-            yield EffortCurve("slope", (j, j), value)
+            yield EffortCurve("slope", j, value)
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,7 @@ class Offset(_EffortTerm):
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the constants."""
         for j, value in enumerate(values.tolist()):
-            yield EffortCurve("constant", (j, -1), value)
+            yield EffortCurve("constant", j, value)
 
 
 @dataclass(frozen=True)
@@ -201,7 +205,7 @@ class SquareRootFriction(_EffortTerm):
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the roots."""
         for j, value in enumerate(values.tolist()):
-            yield EffortCurve("root", (j, -1), value)
+            yield EffortCurve("root", j, value)
 
 
 @dataclass(frozen=True)
@@ -260,10 +264,10 @@ class Stribeck(_EffortTerm):
         for j, width in enumerate(self.speed("width", len(values)).tolist()):
             value, numbers = float(values[j]), (float(speeds[j]), power, width or 1.0)
             if width > 0.0:
-                yield EffortCurve("smooth_peak", (j, -1), value, numbers)
+                yield EffortCurve("smooth_peak", j, value, numbers)
             else:
-                yield EffortCurve("jump", (j, -1), value, (0.0, -value, 0.0))
-                yield EffortCurve("peak", (j, -1), value, numbers)
+                yield EffortCurve("jump", j, value, (0.0, -value, 0.0))
+                yield EffortCurve("peak", j, value, numbers)
 
     def enclosed(
         self,
@@ -326,7 +330,7 @@ class SigmoidFriction(_EffortTerm):
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the sigmoids."""
         for j, speed in enumerate(self.speed("velocity", len(values)).tolist()):
-            yield from sign_curves((j, -1), float(values[j]), speed, 0.0)
+            yield from sign_curves(j, float(values[j]), speed, 0.0)
 
 
 @dataclass(frozen=True)
@@ -385,7 +389,7 @@ class AsymmetricCoulomb(FrictionTerm):
         n = len(joint_names)
         for j, width in enumerate(self.speed("width", n).tolist()):
             for value, side in ((values[j], 1), (values[n + j], -1)):
-                yield from sign_curves((j, -1), float(value), width, self.dead_zone, side)
+                yield from sign_curves(j, float(value), width, self.dead_zone, side)
 
     def alike(self, joint_names: Sequence[str]) -> tuple[tuple[int, int], ...]:
         """Return both sides of every joint: a side that never moved is like the other."""
@@ -449,18 +453,29 @@ class Coupling(FrictionTerm):
             TermParameter(f"Fs{pair}", "N.m", True, last),
         )
 
+    def acting(
+        self, values: Array, joint_names: Sequence[str]
+    ) -> Iterator[tuple[FrictionTerm, Sequence[Place], Array]]:
+        """Yield inertia, viscous and Coulomb friction of the motor, less what the joints hold.
+
+        Below zero, inertia and viscous friction are those of the joints' difference.
+        """
+        *linear, coulomb = values.tolist()
+        units = np.eye(len(joint_names))[[*self._joints(joint_names)]]
+        for term, value in zip((RotorInertia(), Viscous()), linear, strict=True):
+            places = (units[0] + math.copysign(1.0, value) * units[1], *units)
+            yield term, [tuple(each.tolist()) for each in places], abs(value) * _CROSSWISE
+        yield Coulomb(self.width), [tuple(units.sum(axis=0).tolist())], np.array([coulomb])
+
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the three columns as they stand in filtered efforts; two of them are linear."""
-        i, j = self._joints(joint_names)
-        width = self.speed("width", 1)
-        sign = motion.filtered(
-            lambda v, _: smooth_sign(v[:, i] + v[:, j], width, 0.0), (self, i, j)
+        return np.stack(
+            [
+                AtJoints(term, tuple(places)).columns_in(motion, joint_names) @ values
+                for term, places, values in self.acting(np.ones(3), joint_names)
+            ],
+            axis=2,
         )
-        columns = np.zeros((*motion.velocity.shape, 3))
-        columns[:, (i, j), 0] = motion.acceleration[:, (j, i)]
-        columns[:, (i, j), 1] = motion.velocity[:, (j, i)]
-        columns[:, (i, j), 2] = sign[:, None]
-        return columns
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the three columns, which act on both joints."""
@@ -468,14 +483,6 @@ class Coupling(FrictionTerm):
             position=velocity, velocity=velocity, acceleration=acceleration, robot=None
         )
         return self.columns_in(motion, joint_names)
-
-    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
-        """Yield the slopes and the sign of the motor's speed; its inertia is no friction."""
-        _, viscous, coulomb = values.tolist()
-        i, j = self._joints(joint_names)
-        yield EffortCurve("slope", (i, j), viscous)
-        yield EffortCurve("slope", (j, i), viscous)
-        yield from sign_curves((min(i, j), max(i, j)), coulomb, self.width or 0.0, 0.0)
 
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
