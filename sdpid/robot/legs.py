@@ -46,7 +46,7 @@ class Legs:
     Attributes
     ----------
     robot : RobotModel
-        The robot, on a floating base.
+        The robot, on a floating base; its coordinates are its joints.
     frames : tuple of str
         The frame at the center of each foot's ball, or in the plane of each sole.
     joints : ndarray of int, shape (c, 3) or (c, 6)
@@ -198,7 +198,8 @@ def find_legs(
     Parameters
     ----------
     robot : RobotModel
-        A robot on a floating base, ``load_robot(..., root="free_flyer")``.
+        A robot on a floating base, ``load_robot(..., root="free_flyer")``. Behind a transmission
+        the legs are of its joints, of which each needs a motor of its own.
     feet : sequence of str, optional
         Frames at the centers of the feet; by default the links with 'sole' in their names,
         else with 'foot'.
@@ -243,6 +244,7 @@ def find_legs(
             f"legs of '{robot.name}': joints that mimic others are not supported; make "
             "them fixed or free in the description."
         )
+    robot = robot if robot.direct else robot.of_joints()
     chains: list[list[int]] = []
     for name in feet:
         if not model.existFrame(name):

@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import sdpid
@@ -24,6 +25,7 @@ from sdpid.friction import (
 )
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.terms import term_from_dict, term_to_dict
+from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.workflow.result import Identification
 from tests.helpers.data import random_links
@@ -45,6 +47,13 @@ BARS = {
         "joint_4": {"elbow": 1.0},
         "joint_5": {"shoulder": 0.7, "offset": -0.3},
     }
+}
+# Motors that move joints of a leg together, and one that moves two joints.
+LEGS = {
+    "FL_HFE": {"left": 0.5, "right": 0.5, "offset": 0.1},
+    "FL_KFE": {"left": 0.5, "right": -0.5},
+    "HR_KFE": {"screw": 2.0, "offset": -0.2},
+    "HR_HFE": {"screw": 1.0},
 }
 TERMS = (
     *("viscous", "rotor_inertia", Spring("joint_1", rest=0.2), Spring("joint_5")),
@@ -121,6 +130,43 @@ def test_mujoco_asks_for_the_same_efforts(tmp_path: Path, transmission: Any):
     expected = second.model().inverse_dynamics(*states)
     found = in_mujoco(tmp_path / "again.xml", robot, *states)
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_floating_base_in_mujoco(tmp_path: Path):
+    robot = sdpid.load_robot("solo12", root="free_flyer", transmission={"joints": LEGS})
+    q, v, a = generic_states(robot, 200, seed=3)
+    # At rest, so that MuJoCo's velocity of the base, in the world's axes, does not matter.
+    v[:, :6] = 0.0
+    terms = ("viscous", "rotor_inertia", Spring("left"), AtJoints(Viscous(), ("FL_KFE",)))
+    model = FrictionModel.from_terms(terms, robot.joint_names, first=6)
+    theta = np.concatenate([robot.prior.ravel(), np.full(len(model.parameters), 0.3)])
+    effort = RobotDynamics(robot=robot, terms=model, theta=theta).inverse_dynamics(q, v, a)
+    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    problem = sdpid.build_problem(robot, samples, friction=terms, weighting="residual")
+    estimate = sdpid.solve_sdp(problem)
+    np.testing.assert_allclose(problem.predict(estimate.base), effort, atol=1e-6)
+    sdpid.write_urdf(estimate, target=tmp_path / "a.urdf")
+    sdpid.write_mjcf(estimate, target=tmp_path / "a.xml")
+    found = mujoco.MjModel.from_xml_path(str(tmp_path / "a.xml"))
+    found.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    data, E = mujoco.MjData(found), robot.expansion
+    joints = [found.joint(name) for name in robot.tree_joints[6:]]
+    at, to = [j.qposadr[0] for j in joints], [j.dofadr[0] for j in joints]
+    out = np.empty((len(q), len(E)))
+    for k, (place, rate, change) in enumerate(
+        zip(robot.configuration(q), v @ E.T, a @ E.T, strict=True)
+    ):
+        turn = pin.Quaternion(place[3:7]).matrix()
+        data.qpos[:7] = place[[0, 1, 2, 6, 3, 4, 5]]
+        data.qpos[at], data.qvel[to], data.qacc[to] = place[7:], rate[6:], change[6:]
+        data.qacc[:3], data.qacc[3:6] = turn @ change[:3], change[3:6]
+        mujoco.mj_inverse(found, data)
+        force = data.qfrc_inverse
+        out[k] = np.concatenate([turn.T @ force[:3], force[3:6], force[to]])
+    expected = estimate.model().inverse_dynamics(q, v, a)
+    np.testing.assert_allclose(out @ E, expected, atol=1e-9 * np.abs(expected).max())
+    again = sdpid.load_robot(tmp_path / "a.xml", transmission={"joints": LEGS})
+    assert again.joint_names == robot.joint_names
 
 
 def test_equalities_hold_where_the_motors_take_the_joints(tmp_path: Path):

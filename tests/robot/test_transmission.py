@@ -4,6 +4,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,6 +15,9 @@ from sdpid.errors import ModelError
 from sdpid.friction import AtJoints, Hysteresis, LoadFriction, Offset, PositionTerm, Spring, Viscous
 from sdpid.robot.friction.position import play
 from sdpid.robot.friction.term import SampledMotion
+from sdpid.robot.model.base_parameters import generic_states
+from sdpid.robot.model.closure import close_loops
+from tests.helpers.linkages import urdf
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.strategies import SEEDS, random_states
@@ -51,6 +55,44 @@ def test_efforts_of_motors_do_the_work_of_those_of_joints(seed: int, compiled: b
     joints = plain.regressor(m @ E.T + robot.offset, v @ E.T, a @ E.T)
     found = robot.regressor_columns(m, v, a, compiled=compiled)
     np.testing.assert_allclose(found, np.einsum("jn,kjp->knp", E, joints), atol=1e-9)
+
+
+# Three motors of a leg's joints, one of two joints of another leg.
+LEGS = {
+    "FL_HFE": {"left": 0.5, "right": 0.5, "offset": 0.1},
+    "FL_KFE": {"left": 0.5, "right": -0.5},
+    "HR_KFE": {"screw": 2.0, "offset": -0.2},
+    "HR_HFE": {"screw": 1.0},
+}
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_base_may_float(compiled: bool):
+    robot = sdpid.load_robot("solo12", root="free_flyer", transmission={"joints": LEGS})
+    q, v, a = generic_states(robot, 5, seed=1)
+    assert q.shape[1] == robot.n + 1
+    model, E = robot.pin_model, robot.expansion
+    states = robot.configuration(q), v @ E.T, a @ E.T
+    data = model.createData()
+    efforts = [pin.rnea(model, data, *state) for state in zip(*states, strict=True)]
+    found = robot.regressor_columns(q, v, a, compiled=compiled) @ robot.prior.ravel()
+    np.testing.assert_allclose(found, np.array(efforts) @ E, atol=1e-9)
+    spring = columns(Spring("HR_KFE", rest=0.3), robot, (q, v, a))
+    way = E[robot.tree_joints.index("HR_KFE"), 6:]
+    np.testing.assert_allclose(spring[:, :, 0], (q[:, 7:] @ way - 0.5)[:, None] * way)
+
+
+def test_loops_close_behind_motors():
+    text, motors = urdf("five_bar"), np.array([[4.3, 0.7], [4.4, 0.5]])
+    rows = {"left_arm_joint": [0.5, 0.0, 0.1], "right_arm_joint": [0.0, 1.0, 0.2]}
+    given = {j: dict(zip(("one", "two", "offset"), row, strict=True)) for j, row in rows.items()}
+    robot = sdpid.load_robot(text, transmission={"joints": given})
+    assert robot.passive == ("left_rod_joint", "right_rod_joint")
+    closed = close_loops(robot, np.insert(motors, [1, 2], 0.0, axis=1), robot.passive)
+    joints = closed @ robot.expansion.T + robot.offset
+    plain = sdpid.load_robot(text)
+    known = np.where(np.isin(plain.joint_names, plain.passive), 0.0, joints)
+    np.testing.assert_allclose(joints, close_loops(plain, known, plain.passive), atol=1e-9)
 
 
 def test_a_joint_that_mimics_another_is_a_transmission():
@@ -121,11 +163,18 @@ def test_what_is_refused(call: object, words: str):
     refuses(ModelError, words, call)  # type: ignore[arg-type]
 
 
-def columns(term: sdpid.friction.FrictionTerm, robot: sdpid.RobotModel | None = None) -> Array:
+def columns(
+    term: sdpid.friction.FrictionTerm,
+    robot: sdpid.RobotModel | None = None,
+    states: tuple[Array, Array, Array] | None = None,
+) -> Array:
     robot = sdpid.load_robot("denso_vp6242") if robot is None else robot
-    q, v, a = random_states(np.random.default_rng(1), robot.n, 5)
-    motion = SampledMotion(position=q, velocity=v, acceleration=a, robot=robot)
-    return term.columns_in(motion, robot.joint_names)
+    first = robot.n_base
+    q, v, a = random_states(np.random.default_rng(1), robot.n, 5) if states is None else states
+    motion = SampledMotion(
+        position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot
+    )
+    return term.columns_in(motion, robot.joint_names[first:])
 
 
 @given(seed=SEEDS)

@@ -231,6 +231,26 @@ def test_a_log_is_processed_at_most_four_times_and_its_robot_loaded_once(
     assert loaded.call_count == 1
 
 
+def test_motors_of_a_floating_robot_are_identified_and_made_again(tmp_path: Path) -> None:
+    """They move joints of a leg together; friction and rotor inertia are theirs."""
+    pytest.importorskip("mujoco")
+    rows = {
+        "FL_HFE": {"left": 0.5, "right": 0.5, "offset": 0.1},
+        "FL_KFE": {"left": 0.5, "right": -0.5},
+    }
+    robot = sdpid.load_robot("solo12", root="free_flyer", transmission={"joints": rows})
+    run = sdpid.simulate_legged(robot, "trot", duration=1.0, seed=1)
+    terms = (*run.friction.terms, "viscous", "rotor_inertia")
+    result = sdpid.identify(robot, run.recording, friction=terms, effects="none", intervals=False)
+    assert result.certificate.passed
+    assert result.training.relative < 0.02
+    true = result.problem.base_of(run.theta[: result.problem.n_theta])
+    assert result.problem.cost(result.estimate.base) < result.problem.cost(true)
+    result.save(tmp_path / "results")
+    found = sdpid.verify(tmp_path / "results", data=run.recording)
+    assert found.passed, found.problems
+
+
 def test_a_base_that_is_held_all_the_time_is_proven() -> None:
     """No row has the base's parameters: what is least of the cost may be in no floor."""
     pytest.importorskip("mujoco")

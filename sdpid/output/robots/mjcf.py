@@ -378,8 +378,9 @@ class Mjcf(RobotText):
             steep = STEEP if name in motors and given.get("frictionloss") else {}
             tendon.attrib.update({key: numbers(value) for key, value in given.items()} | steep)
         self.append("tendon", list(found))
-        for motor in names if self.ours and not robot.direct else ():
-            joint, factor = seats.get(motor, ("", 1.0))
+        places = {motor: seats.get(motor, ("", 1.0)) for motor in names}
+        moved = any(place != (motor, 1.0) for motor, place in places.items())
+        for motor, (joint, factor) in places.items() if self.ours and moved else ():
             at = {"joint": joint, "gear": numbers(1.0 / factor)} if joint else {"tendon": motor}
             drives.append(etree.Element("motor", name=motor, **at))
         self.append("actuator", drives)

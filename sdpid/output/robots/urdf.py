@@ -237,9 +237,10 @@ class Urdf(RobotText):
 
     def write_mimics(self) -> None:
         """Write which joints behind the transmission follow one other."""
-        robot, seats = self.robot, self.robot.seats()
-        for k, row in enumerate(robot.expansion if robot.transmission is not None else ()):
-            element, moved = self._joints[robot.tree_joints[k]], np.flatnonzero(row)
+        robot, seats, count = self.robot, self.robot.seats(), len(self.robot.expansion)
+        for k in range(robot.n_base, count if robot.transmission is not None else 0):
+            row, element = robot.expansion[k], self._joints[robot.tree_joints[k]]
+            moved = np.flatnonzero(row)
             for mimic in element.findall("mimic"):
                 element.remove(mimic)
             motor = robot.joint_names[moved[0]] if len(moved) == 1 else ""

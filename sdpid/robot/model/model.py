@@ -463,6 +463,13 @@ class RobotModel:
         plain = rows == columns and np.array_equal(self.expansion, np.eye(rows))
         return plain and not self.offset.any()
 
+    def of_joints(self) -> RobotModel:
+        """Return the robot whose coordinates are its joints, whatever moves them."""
+        names = self.tree_joints
+        expansion, offset = frozen(np.eye(len(names))), frozen(np.zeros(len(names)))
+        whole = replace(self, joint_names=names, passive=(), assembled=(), transmission=None)
+        return replace(whole, expansion=expansion, offset=offset)
+
     def _expand(self, values: Array) -> Array:
         return values if self.direct else values @ self.expansion.T
 

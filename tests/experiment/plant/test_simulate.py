@@ -234,6 +234,18 @@ def test_the_equation_of_motion_holds_with_the_simulators_forces(motion: str) ->
     assert np.abs(residual(exact(motion), go1())).max() < EQUATION
 
 
+def test_motors_that_move_joints_together_obey_it_too() -> None:
+    rows = {
+        "FL_thigh_joint": {"left": 0.5, "right": 0.5, "offset": 0.1},
+        "FL_calf_joint": {"left": 0.5, "right": -0.5},
+        "RR_calf_joint": {"screw": 2.0, "offset": -0.2},
+    }
+    robot = sdpid.load_robot("go1", root="free_flyer", transmission={"joints": rows})
+    run = sdpid.simulate_legged(robot, "trot", duration=0.1, seed=1, sensors=Sensors.exact())
+    assert run.recording.joint_names == robot.joint_names[6:]
+    assert np.abs(residual(run, robot)).max() < EQUATION
+
+
 @pytest.mark.parametrize("motion", ["trot", "hang"])
 def test_the_sensors_measure_the_motion(motion: str) -> None:
     log, moved = exact(motion).recording, exact(motion).motion

@@ -11,7 +11,7 @@ equation of motion to the solver's tolerance.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,8 +76,27 @@ class LeggedModel:
     sites: tuple[int, ...]
 
 
+class Drives(NamedTuple):
+    """How motors move the joints of a robot with as many: factors (n, n), inverse, offset (n,)."""
+
+    gears: Array
+    inverse: Array
+    offset: Array
+
+    @classmethod
+    def of(cls, robot: RobotModel) -> Drives:
+        """Return those of a robot on a floating base."""
+        gears = robot.expansion[6:, 6:]
+        return cls(gears, np.asarray(np.linalg.inv(gears)), robot.offset[6:])
+
+    def positions(self, joints: Array) -> Array:
+        """Return the motors' positions (K, n) at those of the joints."""
+        return np.asarray((joints - self.offset) @ self.inverse.T)
+
+
 def build_legged(
     legs: Legs,
+    drives: Drives,
     theta: Array,
     *,
     held: bool,
@@ -92,6 +111,8 @@ def build_legged(
         The robot and its feet.
     theta : ndarray, shape (10·links + 3·joints,)
         The links' standard parameters, Coulomb and viscous friction, rotor inertias.
+    drives : Drives
+        What the latter three are of.
     held : bool
         Hold the base where it starts, and leave out the ground.
     timestep : float
@@ -123,6 +144,13 @@ def build_legged(
     # Where the free joint starts, and where a held base stays.
     nodes[1].pos, nodes[1].quat = start[:3], _quaternion(Rotation.from_rotvec(start[3:]))
     names = robot.joint_names[6:]
+    # Rotors that turn with several joints are tendons.
+    shared = np.flatnonzero(np.count_nonzero(drives.inverse, axis=1) > 1).tolist()
+    for k in shared:
+        tendon = spec.add_tendon(armature=theta[links + 2 * n + k])
+        for name, factor in zip(names, drives.inverse[k].tolist(), strict=True):
+            if factor:
+                tendon.wrap_joint(name, factor)
     if held:
         spec.add_equality(
             name="hold",
@@ -140,7 +168,8 @@ def build_legged(
         raise ModelError(f"plant of '{robot.name}': MuJoCo refuses it ({cause}).") from None
     dof = np.array([model.joint(name).dofadr[0] for name in names])
     qpos = np.array([model.joint(name).qposadr[0] for name in names])
-    model.dof_armature[dof] = theta[links + 2 * n :]
+    alone = np.delete(np.arange(n), shared)
+    model.dof_armature[dof] = theta[links + 2 * n :][alone] @ drives.inverse[alone] ** 2
     names = () if held else tuple(f"foot:{name}" for name in legs.frames)
     feet, sites = ([named(name).id for name in names] for named in (model.geom, model.site))
     return LeggedModel(model, dof, qpos, tuple(feet), tuple(sites))
@@ -270,6 +299,7 @@ def weight_torques(legs: Legs, plan: LeggedPlan, times: Array) -> Array:
 
 def run_plan(
     legs: Legs,
+    drives: Drives,
     plan: LeggedPlan,
     theta: Array,
     *,
@@ -283,6 +313,8 @@ def run_plan(
     ----------
     legs : Legs
         The robot.
+    drives : Drives
+        What moves its joints.
     plan : LeggedPlan
         What it shall do.
     theta : ndarray, shape (10·links + 3·joints,)
@@ -321,17 +353,18 @@ def run_plan(
     weight = np.stack([np.interp(times, coarse, each) for each in weight.T], axis=1)
     command = stiffness * desired + damping * speeds + weight
     start = plan.base(np.zeros(1))[0]
-    built = build_legged(legs, theta, held=plan.held, timestep=step, start=start)
+    built = build_legged(legs, drives, theta, held=plan.held, timestep=step, start=start)
     coulomb, viscous, _ = theta[10 * legs.robot.n_links :].reshape(3, -1)
     model, data, dof = built.model, mujoco.MjData(built.model), built.dof
     data.qpos[built.qpos] = desired[0]
 
     def evaluate(told: Array) -> Array:
-        """Solve for the acceleration, and return torques of motors and friction, (2, joints)."""
+        """Solve for the acceleration; return torques at the joints and of friction, (2, joints)."""
         speed = data.qvel[dof]
         torque = told - stiffness * data.qpos[built.qpos] - damping * speed
-        rubbing = coulomb * friction(speed) + viscous * speed
-        data.qfrc_applied[dof] = torque - rubbing
+        turning = drives.inverse @ speed
+        rubbing = coulomb * friction(turning) + viscous * turning
+        data.qfrc_applied[dof] = torque - rubbing @ drives.inverse
         mujoco.mj_forward(model, data)
         data.qacc_warmstart[:] = data.qacc
         return np.stack([torque, rubbing])
@@ -373,6 +406,10 @@ def run_plan(
     velocity, acceleration = velocity[:, rows], acceleration[:, rows]
     inverse = Rotation.from_quat(position[:, 3:7]).inv()
     velocity[:, :3] = inverse.apply(velocity[:, :3])
+    position[:, 7:] = drives.positions(position[:, 7:])
+    velocity[:, 6:], acceleration[:, 6:] = (
+        x[:, 6:] @ drives.inverse.T for x in (velocity, acceleration)
+    )
     # The derivative of body-axis components, which Pinocchio calls the acceleration.
     turning = np.cross(velocity[:, 3:6], velocity[:, :3])
     acceleration[:, :3] = inverse.apply(acceleration[:, :3]) - turning
@@ -380,7 +417,7 @@ def run_plan(
         position=position,
         velocity=velocity,
         acceleration=acceleration,
-        effort=np.pad(torque, ((0, 0), (6, 0))),
+        effort=np.pad(torque @ drives.gears, ((0, 0), (6, 0))),
         friction=rubbing,
         wrenches=wrenches,
         down=down,

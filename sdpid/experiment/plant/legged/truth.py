@@ -97,7 +97,7 @@ class TrueMotion:
     Attributes
     ----------
     position : ndarray, shape (N, nq)
-        Base position, quaternion (x, y, z, w), joints.
+        Base position, quaternion (x, y, z, w), joints: the robot's coordinates, as all of these.
     velocity, acceleration : ndarray, shape (N, nv)
         Of the base linear and angular in base axes, then of the joints.
     effort : ndarray, shape (N, nv)
@@ -179,12 +179,13 @@ def changed_parameters(
         root = np.linalg.cholesky(pseudo_inertia(body))
         moved = root @ (axes * np.exp(values)) @ axes.T @ root.T
         bodies[i] = from_pseudo_inertia(moved)
-    return frozen(np.concatenate([bodies.ravel(), *default_friction(legs)]))
+    return frozen(np.concatenate([bodies.ravel(), *default_friction(legs, robot)]))
 
 
-def default_friction(legs: Legs) -> tuple[Array, Array, Array]:
-    """Return Coulomb and viscous friction and rotor inertia of all joints."""
+def default_friction(legs: Legs, robot: RobotModel) -> tuple[Array, Array, Array]:
+    """Return Coulomb and viscous friction and rotor inertia of all joints, or their motors."""
     mass, lever = legs.loads
-    coulomb = _COULOMB * _GRAVITY * mass * lever
-    rotor = _ROTOR * len(legs.frames) * mass * lever**2
+    gears = np.abs(robot.expansion[6:, 6:])
+    coulomb = (_COULOMB * _GRAVITY * mass * lever) @ gears
+    rotor = (_ROTOR * len(legs.frames) * mass * lever**2) @ gears**2
     return coulomb, _VISCOUS * coulomb, rotor
