@@ -76,7 +76,7 @@ class LeggedModel:
     sites: tuple[int, ...]
 
 
-class Drives(NamedTuple):
+class MotorGears(NamedTuple):
     """How motors move the joints of a robot with as many: factors (n, n), inverse, offset (n,)."""
 
     gears: Array
@@ -84,7 +84,7 @@ class Drives(NamedTuple):
     offset: Array
 
     @classmethod
-    def of(cls, robot: RobotModel) -> Drives:
+    def of(cls, robot: RobotModel) -> MotorGears:
         """Return those of a robot on a floating base."""
         gears = robot.expansion[6:, 6:]
         return cls(gears, np.asarray(np.linalg.inv(gears)), robot.offset[6:])
@@ -96,7 +96,7 @@ class Drives(NamedTuple):
 
 def build_legged(
     legs: Legs,
-    drives: Drives,
+    motors: MotorGears,
     theta: Array,
     *,
     held: bool,
@@ -111,7 +111,7 @@ def build_legged(
         The robot and its feet.
     theta : ndarray, shape (10·links + 3·joints,)
         The links' standard parameters, Coulomb and viscous friction, rotor inertias.
-    drives : Drives
+    motors : MotorGears
         What the latter three are of.
     held : bool
         Hold the base where it starts, and leave out the ground.
@@ -145,10 +145,10 @@ def build_legged(
     nodes[1].pos, nodes[1].quat = start[:3], _quaternion(Rotation.from_rotvec(start[3:]))
     names = robot.joint_names[6:]
     # Rotors that turn with several joints are tendons.
-    shared = np.flatnonzero(np.count_nonzero(drives.inverse, axis=1) > 1).tolist()
+    shared = np.flatnonzero(np.count_nonzero(motors.inverse, axis=1) > 1).tolist()
     for k in shared:
         tendon = spec.add_tendon(armature=theta[links + 2 * n + k])
-        for name, factor in zip(names, drives.inverse[k].tolist(), strict=True):
+        for name, factor in zip(names, motors.inverse[k].tolist(), strict=True):
             if factor:
                 tendon.wrap_joint(name, factor)
     if held:
@@ -169,7 +169,7 @@ def build_legged(
     dof = np.array([model.joint(name).dofadr[0] for name in names])
     qpos = np.array([model.joint(name).qposadr[0] for name in names])
     alone = np.delete(np.arange(n), shared)
-    model.dof_armature[dof] = theta[links + 2 * n :][alone] @ drives.inverse[alone] ** 2
+    model.dof_armature[dof] = theta[links + 2 * n :][alone] @ motors.inverse[alone] ** 2
     names = () if held else tuple(f"foot:{name}" for name in legs.frames)
     feet, sites = ([named(name).id for name in names] for named in (model.geom, model.site))
     return LeggedModel(model, dof, qpos, tuple(feet), tuple(sites))
@@ -299,7 +299,7 @@ def weight_torques(legs: Legs, plan: LeggedPlan, times: Array) -> Array:
 
 def run_plan(
     legs: Legs,
-    drives: Drives,
+    motors: MotorGears,
     plan: LeggedPlan,
     theta: Array,
     *,
@@ -313,7 +313,7 @@ def run_plan(
     ----------
     legs : Legs
         The robot.
-    drives : Drives
+    motors : MotorGears
         What moves its joints.
     plan : LeggedPlan
         What it shall do.
@@ -353,7 +353,7 @@ def run_plan(
     weight = np.stack([np.interp(times, coarse, each) for each in weight.T], axis=1)
     command = stiffness * desired + damping * speeds + weight
     start = plan.base(np.zeros(1))[0]
-    built = build_legged(legs, drives, theta, held=plan.held, timestep=step, start=start)
+    built = build_legged(legs, motors, theta, held=plan.held, timestep=step, start=start)
     coulomb, viscous, _ = theta[10 * legs.robot.n_links :].reshape(3, -1)
     model, data, dof = built.model, mujoco.MjData(built.model), built.dof
     data.qpos[built.qpos] = desired[0]
@@ -362,9 +362,9 @@ def run_plan(
         """Solve for the acceleration; return torques at the joints and of friction, (2, joints)."""
         speed = data.qvel[dof]
         torque = told - stiffness * data.qpos[built.qpos] - damping * speed
-        turning = drives.inverse @ speed
+        turning = motors.inverse @ speed
         rubbing = coulomb * friction(turning) + viscous * turning
-        data.qfrc_applied[dof] = torque - rubbing @ drives.inverse
+        data.qfrc_applied[dof] = torque - rubbing @ motors.inverse
         mujoco.mj_forward(model, data)
         data.qacc_warmstart[:] = data.qacc
         return np.stack([torque, rubbing])
@@ -406,9 +406,9 @@ def run_plan(
     velocity, acceleration = velocity[:, rows], acceleration[:, rows]
     inverse = Rotation.from_quat(position[:, 3:7]).inv()
     velocity[:, :3] = inverse.apply(velocity[:, :3])
-    position[:, 7:] = drives.positions(position[:, 7:])
+    position[:, 7:] = motors.positions(position[:, 7:])
     velocity[:, 6:], acceleration[:, 6:] = (
-        x[:, 6:] @ drives.inverse.T for x in (velocity, acceleration)
+        x[:, 6:] @ motors.inverse.T for x in (velocity, acceleration)
     )
     # The derivative of body-axis components, which Pinocchio calls the acceleration.
     turning = np.cross(velocity[:, 3:6], velocity[:, :3])
@@ -417,7 +417,7 @@ def run_plan(
         position=position,
         velocity=velocity,
         acceleration=acceleration,
-        effort=np.pad(torque @ drives.gears, ((0, 0), (6, 0))),
+        effort=np.pad(torque @ motors.gears, ((0, 0), (6, 0))),
         friction=rubbing,
         wrenches=wrenches,
         down=down,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen, generator, real_array
 from sdpid._common.tables import Shown
 from sdpid.errors import DataError
-from sdpid.experiment.plant.legged.model import Drives, run_plan
+from sdpid.experiment.plant.legged.model import MotorGears, run_plan
 from sdpid.experiment.plant.legged.motions import LEAD, follow, plan_motion
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion, changed_parameters
@@ -157,11 +157,11 @@ def simulate_legged(
         plan = plan_motion(
             legs, motion, duration=_SECONDS if duration is None else duration, rng=rng
         )
-    drives = Drives.of(robot)
+    motors = MotorGears.of(robot)
     time, truth = run_plan(
-        legs, drives, plan, values, friction=friction, rate_hz=rate_hz, before=before
+        legs, motors, plan, values, friction=friction, rate_hz=rate_hz, before=before
     )
     log = record(legs, time, truth, sensors, gravity=robot.gravity, held=plan.held, rng=rng)
     wanted, _ = plan.joints(np.asarray(log.time) + LEAD)
-    log = replace(log, reference=drives.positions(wanted), joint_names=robot.joint_names[6:])
+    log = replace(log, reference=motors.positions(wanted), joint_names=robot.joint_names[6:])
     return LeggedRun(recording=log, theta=values, motion=truth.after(before), friction=friction)
