@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import sys
 from pathlib import Path
@@ -95,6 +96,17 @@ def test_a_task_survives_its_files(record: Any, tmp_path: Path) -> None:
     assert found.asked.effort is None
     np.testing.assert_array_equal(found.common.effort, record.task.common.effort)
     np.testing.assert_array_equal(found.log["time"], record.task.log["time"])
+
+
+def test_the_split_is_the_one_that_is_written_down(record: Any, data_folder: Path) -> None:
+    import records
+
+    path = FOLDER.parents[1] / "docs" / "evidence" / "tables" / "benchmark" / "split.csv"
+    with path.open(encoding="utf-8") as file:
+        kept = {row.pop("arm"): row for row in csv.DictReader(file)}
+    assert {*kept} == {*records.TRAINED.values()}
+    for found in records.records(data_folder, ["Panda", "Gen3"]):
+        assert {k: str(v) for k, v in found.split.items()} == kept[str(found)]
 
 
 def test_the_tool_that_the_page_shows(record: Any, tmp_path: Path) -> None:
