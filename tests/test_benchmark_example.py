@@ -85,6 +85,8 @@ def test_wrong_answers_are_seen(record: Any) -> None:
     efforts[3, 2] = np.nan
     with pytest.raises(ValueError, match="finite"):
         judge(record, efforts, None)
+    with pytest.raises(ValueError, match="asked was"):
+        judge(record, efforts[1:], None)
 
 
 def test_a_task_survives_its_files(record: Any, tmp_path: Path) -> None:
@@ -181,3 +183,23 @@ def test_a_program_joins(
     assert found["tool"] == "zeros"
     assert left_out in found["left_out"]
     assert found["held_out"] == (None if left_out else pytest.approx(100.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "no such file, nor one of the adapters: .*least_squares"),
+        ("awk", "no header of lines"),
+        (ZEROS.replace("methods", "method"), r"needs \[tool.benchmark\] with name and methods"),
+        (ZEROS.replace("[tool", "[[tool"), r"needs \[tool.benchmark\]"),
+    ],
+    ids=["no file", "no header", "no methods", "no TOML"],
+)
+def test_a_header_that_is_wrong_is_told(
+    command: Any, tmp_path: Path, text: str | None, words: str
+) -> None:
+    script = tmp_path / "mine.sh"
+    if text is not None:
+        script.write_text(text, encoding="utf-8")
+    with pytest.raises(SystemExit, match=words):
+        command.Tool.of(str(script))

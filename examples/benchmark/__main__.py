@@ -93,16 +93,26 @@ class Tool:
     def of(cls, name: str) -> Tool:
         """Read the header of an adapter, which stands in the form of PEP 723."""
         script = Path(name) if Path(name).is_file() else ADAPTERS / f"{name}_tool.py"
+        if not script.is_file():
+            known = ", ".join(
+                each.stem.removesuffix("_tool") for each in ADAPTERS.glob("*_tool.py")
+            )
+            raise SystemExit(f"--tools {name}: no such file, nor one of the adapters: {known}")
         found = HEADER.search(script.read_text(encoding="utf-8"))
         if found is None:
             raise SystemExit(f"{script}: no header of lines between '# /// script' and '# ///'")
         lines = (line.removeprefix("#").removeprefix(" ") for line in found[1].splitlines())
-        said = tomllib.loads("\n".join(lines))
+        try:
+            return cls._said(script.resolve(), tomllib.loads("\n".join(lines)))
+        except (ValueError, KeyError, TypeError) as wrong:
+            needed = "needs [tool.benchmark] with name and methods, as least_squares_tool.py has"
+            raise SystemExit(f"{script}: its header {needed} ({wrong})") from None
+
+    @classmethod
+    def _said(cls, script: Path, said: dict[str, Any]) -> Tool:
         python = int(said.get("requires-python", ">=3.10").removeprefix(">=3."))
         needed = said.get("dependencies", [])
-        return cls(
-            script.resolve(), python=python, dependencies=needed, **said["tool"]["benchmark"]
-        )
+        return cls(script, python=python, dependencies=needed, **said["tool"]["benchmark"])
 
     def interpreter(self, peers: Path | None) -> str:
         """Return its interpreter; its environment is made where it is missing."""

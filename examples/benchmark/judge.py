@@ -48,6 +48,9 @@ class Verdict:
 
 def judge(record: Record, predicted: np.ndarray, bodies: np.ndarray | None) -> Verdict:
     """Return the verdict on efforts predicted at the asked rows."""
+    wanted = record.task.asked.position.shape
+    if predicted.shape != wanted:
+        raise ValueError(f"predicted efforts have the shape {predicted.shape}, asked was {wanted}")
     if not np.all(np.isfinite(predicted)):
         raise ValueError("predicted efforts are not finite")
     trained, held, masses, friction = (
