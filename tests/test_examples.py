@@ -94,7 +94,17 @@ def check_real_arms(results: Path) -> None:
         assert row["diverged_s"] == ""
 
 
+def check_ready_models(results: Path) -> None:
+    """Check that what is identified beats its description; there is none without the records."""
+    with (results / "models.csv").open(encoding="utf-8") as file:
+        found = {row["model"]: row for row in csv.DictReader(file)}
+    if found:
+        for column in ("missed_percent", "tracking_deg"):
+            assert float(found["identified"][column]) < float(found["URDF"][column])
+
+
 CHECKS: dict[str, Callable[[Path], None]] = {
     "denso_vp6242": check_case_study,
     "real_arms": check_real_arms,
+    "ready_models": check_ready_models,
 }

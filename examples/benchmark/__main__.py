@@ -47,6 +47,8 @@ TOOLS = ("sdpid", "least_squares", "figaroh", "flobaroid", "mujoco_sysid")
 LIMIT_S, PATIENCE = 300, 4
 HEADER = re.compile(r"^# /// script\n(.*?)^# ///$", re.MULTILINE | re.DOTALL)
 OWN = "own rows, "
+# No later minor version of Python 3 is looked for.
+NEWEST = 20
 
 
 class LeftOutError(Exception):
@@ -125,14 +127,25 @@ class Tool:
         place = peers / self.script.stem.removesuffix("_tool")
         python = place / "bin" / "python"
         if not python.is_file():
-            others = (shutil.which(f"python3.{minor}") for minor in range(self.python, 20))
-            new = sys.version_info.minor >= self.python
-            first = sys.executable if new else next(filter(None, others), None)
-            if first is None:
-                raise LeftOutError(f"no Python 3.{self.python} or later")
-            subprocess.run([first, "-m", "venv", place], check=True)
-            subprocess.run([python, "-m", "pip", "install", "-q", *self.dependencies], check=True)
+            self._make(place)
         return str(python)
+
+    def _make(self, place: Path) -> None:
+        """Make its environment; half of one is taken away again."""
+        others = [f"python3.{minor}" for minor in range(self.python, NEWEST)]
+        new = sys.version_info.minor >= self.python
+        # A name on the path may stand for a version that is not there.
+        for first in filter(None, [sys.executable] if new else map(shutil.which, others)):
+            if subprocess.run([first, "-m", "venv", place]).returncode == 0:
+                break
+        else:
+            raise LeftOutError(f"no Python 3.{self.python} or later makes an environment")
+        pip = [place / "bin" / "python", "-m", "pip", "install", "-q", *self.dependencies]
+        done = subprocess.run(pip, capture_output=True, text=True)
+        if done.returncode:
+            shutil.rmtree(place)
+            told = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
+            raise LeftOutError(f"its libraries cannot be installed: {' '.join(told[-1:])}")
 
     def folder(self, peers: Path) -> Path:
         """Return where its checkout is expected."""
