@@ -17,8 +17,8 @@ from study import Study
 
 import sdpid
 from sdpid.estimation.positions.drives import DriveNumbers
-from sdpid.estimation.positions.rollout import Followed, Stiction
-from sdpid.experiment.simulation.law import Told
+from sdpid.estimation.positions.rollout import CommandedLog, Stiction
+from sdpid.experiment.simulation.law import DriveCommands
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -40,9 +40,19 @@ LINKS = {
 GAINS = {"leg": (20.0, 1.5), "arm": (400.0, 20.0), "quadruped": (20.0, 1.5)}
 KINDS = ("armature", "damping", "friction")
 STEP = 0.002
+DELAYS = (12.0 * np.arange(20) / 19.0).round(2).tolist()  # ms
 COLUMNS = (
     *("robot", "delay_ms", "rate_hz", "noise", "position_friction", "seed", "complete", "found"),
-    *("delay_error_ms", "delay_width_ms", "delay_held", "held", "of", "sharp_held", "slope"),
+    *(
+        "delay_error_ms",
+        "delay_width_ms",
+        "delay_held",
+        "held",
+        "of",
+        "sharp_held",
+        "slope",
+        "ended",
+    ),
 )
 
 
@@ -89,12 +99,14 @@ def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recordin
         kd=kd,
     )
     limit = np.full(n, np.inf)
-    told = Told(command=command, feedforward=0.0 * command, limit=limit, held=True, note="")
+    commands = DriveCommands(
+        command=command, feedforward=0.0 * command, limit=limit, held=True, note=""
+    )
     start = np.stack([command[0], np.zeros(n)])
-    followed = Followed(
+    followed = CommandedLog(
         time=time,
         position=gaussian_filter1d(command, 0.02 * rate, axis=0),
-        told=told,
+        commands=commands,
         step=STEP,
         stiction=Stiction.mujoco(),
     )
@@ -117,7 +129,11 @@ def rows_of(case: tuple, data: Path) -> Iterator[tuple]:
     robot, log, truth = simulated(case, data)
     kp, kd = GAINS[case[0]]
     law = sdpid.controllers.PD(kp=kp, kd=kd)
-    found = sdpid.identify(robot, log, law=law, intervals=False).drives
+    try:
+        found = sdpid.identify(robot, log, law=law, intervals=False).drives
+    except sdpid.errors.SdpidError as error:
+        yield (*case, *[None] * (len(COLUMNS) - len(case) - 1), str(error)[:80])
+        return
     intervals, held = found.intervals(), []
     known = {kind: truth[kind] for kind in KINDS} | {"slope": truth["slope"]}
     # Levels are about the middle of the fit's range.
@@ -139,34 +155,31 @@ def rows_of(case: tuple, data: Path) -> Iterator[tuple]:
         *(1e3 * (found.delay - truth.delay), 1e3 * (high - low), low <= truth.delay <= high),
         *(sum(held), len(held), float(np.mean(sharp))),
         float(np.abs(found.rich["slope"] - truth["slope"]).max()),
+        "",
     )
+
+
+def case_of(robot: str, seed: int) -> tuple:
+    """Return one of the logs of a robot: each has other conditions."""
+    rate = (100.0, 200.0, 500.0, 1000.0)[seed // 2 % 4]
+    noise = (1e-5, 1e-4, 5e-4)[seed % 3]
+    return robot, DELAYS[7 * seed % len(DELAYS)], rate, noise, seed % 2 == 1, seed
 
 
 def main() -> None:
     """Run the cases."""
     study = Study(
         __doc__,
-        quick={"seeds": 1, "robots": ["leg"], "cases": 2},
+        quick={"logs": 2, "robots": ["leg"]},
         data=True,
-        seeds=(20, "of each case"),
+        logs=(20, "of each robot"),
         robots=["arm", "leg", "quadruped"],
-        cases=(8, "of each robot"),
     )
-    settings = [
-        *((0.0, 200.0, 1e-4, False), (4.0, 200.0, 1e-4, True), (8.0, 500.0, 5e-4, False)),
-        *((12.0, 1000.0, 1e-5, True), (2.0, 100.0, 1e-4, False), (6.0, 100.0, 5e-4, True)),
-        *((12.0, 500.0, 1e-4, False), (1.0, 1000.0, 5e-4, True)),
-    ]
-    cases = [
-        (robot, *setting, seed)
-        for robot in study.robots
-        for setting in settings[: study.cases]
-        for seed in range(study.seeds)
-    ]
+    cases = [case_of(robot, seed) for seed in range(study.logs) for robot in study.robots]
     rows = study.rows("logs.csv", COLUMNS, lambda *case: rows_of(case, study.data), cases, digits=4)
     totals = []
     for robot in study.robots:
-        own = [row for row in rows if row["robot"] == robot]
+        own = [row for row in rows if row["robot"] == robot and not row["ended"]]
         held = sum(row["held"] for row in own) / max(sum(row["of"] for row in own), 1)
         errors = [abs(row["delay_error_ms"]) for row in own]
         right = [(row["found"] != "constants") == row["position_friction"] for row in own]

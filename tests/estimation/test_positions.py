@@ -113,6 +113,17 @@ def test_rollout_is_that_of_mujoco(legs, limit):
     assert np.mean(motion.free) < 0.999 or np.isinf(limit)
 
 
+def test_rollout_is_solved_far_from_the_measured_motion(legs):
+    _, links = legs
+    time, command = commanded(2.0)
+    # Joints turn far, and the log says that nothing moved.
+    rollout = followed(time, 0.0 * command, 3.0 * command).rollout(links)
+    start = np.stack([3.0 * command[0], np.zeros(N)])
+    motion = rollout.run(drives(kp=100.0, kd=0.5, damping=0.05, friction=0.05), start)
+    assert motion.converged
+    assert np.ptp(motion.position) > 3.0
+
+
 def test_columns_are_the_differences_of_rollouts(legs):
     _, links = legs
     time, command = commanded(2.0)

@@ -61,6 +61,25 @@ def result(legs):
     return sdpid.identify(*legs, law=LAW)
 
 
+def test_stiff_drives_without_a_delay_are_found(legs):
+    # At another delay than theirs the law's efforts seem to push: no sign is wrong.
+    path, _ = legs
+    robot = sdpid.load_robot(path)
+    time, command = commanded(5.0)
+    stiff = {"kp": 400.0, "kd": 20.0}
+    rollout = followed(time, command, command).rollout(links_of_legs(robot))
+    motion = rollout.run(drives(armature=0.05, **stiff), np.stack([command[0], np.zeros(N)]))
+    position = rollout.positions(motion)
+    position += 1e-5 * np.random.default_rng(0).standard_normal(position.shape)
+    log = sdpid.Recording(
+        time=time, position=position, reference=command, joint_names=robot.joint_names
+    )
+    found = sdpid.identify(robot, log, law=PD(**stiff), intervals=False)
+    assert found.drives.delay < 1e-5
+    np.testing.assert_allclose(found.drives.rich["armature"], 0.05, rtol=0.05)
+    assert not [each for each in found.findings if each.kind == "effort_sign"]
+
+
 def test_drives_and_delay_are_found(result):
     found = result.drives
     assert found.kinds == ("armature", "damping", "friction", "slope")

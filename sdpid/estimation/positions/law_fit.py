@@ -462,7 +462,9 @@ def fit_law(
     middle, n = 0.5 * (where.min(axis=0) + where.max(axis=0)), law.n
     drives = DriveNumbers(values=np.zeros((len(UNITS), n)), middle=middle, delay=0.0)
     drives = drives_with(problem, estimate.some_theta, drives)
-    drives = drives.with_rows(kp=gains.proportional, kd=gains.derivative)
+    # Joints that are lighter shake under this damping, at steps of this length.
+    armature = np.maximum(drives["armature"], STEP * gains.derivative)
+    drives = drives.with_rows(armature=armature, kp=gains.proportional, kd=gains.derivative)
     rollouts = [each.rollout(links_of(problem, estimate.some_theta)) for each in followed]
     fixed, kinds = law.delay, CONSTANTS if law.kp is not None else (*CONSTANTS, "kp")
 

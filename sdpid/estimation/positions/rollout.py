@@ -127,14 +127,9 @@ class LawRollout:
             _integral(self._time, values, held=log.commands.held)
             for values in (log.commands.command, log.commands.feedforward)
         )
-        smooth = self._smooth()
-        slopes = inverse_dynamics_slopes(links, *smooth)
+        slopes = inverse_dynamics_slopes(links, *self._smooth())
         self._components = _components(slopes[2])
-        # By position and by velocity, and masses: block by block, most of the whole is zero.
-        self._slopes = [
-            tuple(np.array(each[:, joints[:, None], joints]) for each in slopes)
-            for joints in self._components
-        ]
+        self._slopes = self._blocks(slopes)
         # The reference pose of an MJCF is that of zero positions.
         self._resting = links.mass_matrix(np.zeros(log.position.shape[1]))
 
@@ -149,27 +144,16 @@ class LawRollout:
         weight = 1.0 / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
         stiff = rule.stiffness * weight
         mobility = np.empty((self.count, n))
-        # Of each tree its joints, the blocks of steps k, k − 1 and k − 2 that no state of friction
-        # changes, and what acts within a step beside friction.
-        trees = []
-        for joints, (by_position, by_velocity, masses) in zip(
-            self._components, self._slopes, strict=True
-        ):
-            E = np.eye(len(joints))
-            masses = masses + E * armature[joints]
-            mobility[:, joints] = diagonals(np.linalg.inv(masses + h * damping[joints] * E))
-            undamped = np.broadcast_to(E, masses.shape)
-            if rule.early:
-                undamped = E + h * np.linalg.inv(masses) * damping[joints]
-            later = masses / h**2 + E * damping[joints] / h
-            before = masses / h**2 - by_velocity / h
-            trees.append((joints, later, by_position - later - before, before, undamped))
-        size = np.inf
-        for _ in range(_ROUNDS):
+        trees, size, size_before = self._trees(self._slopes, drives, mobility), np.inf, np.inf
+        for number in range(_ROUNDS):
             q[0] = start[0]
             v = np.diff(q, axis=0, prepend=(start[0] - h * start[1])[None]) / h
             a = np.diff(v, axis=0) / h
             here, speed = q[:-1], v[:-1]
+            if size > size_before or number == _ROUNDS // 2:
+                # Far from the measured motion its slopes lead astray: those of the motion itself.
+                own = self._blocks(inverse_dynamics_slopes(self.links, here, speed, a))
+                trees = self._trees(own, drives, mobility)
             error = command - here
             effort = kp * error - kd * speed + feedforward
             free = np.abs(effort) <= limit
@@ -202,7 +186,7 @@ class LawRollout:
                 earlier.append((now[0], before[:2]))
                 move[:, joints] = factors[-1].solve(wrong[:, joints])
             q[1:] += move
-            size = float(np.abs(move).max())
+            size_before, size = size, float(np.abs(move).max())
             if size < _SETTLED or not np.isfinite(size):
                 break
         return SolvedMotion(
@@ -289,6 +273,37 @@ class LawRollout:
             moved = np.concatenate([first[None], factor.solve(-push)])
             found.append((joints, self._at_stamps(moved)))
         return found
+
+    def _trees(
+        self, slopes: Sequence[tuple[Array, ...]], drives: DriveNumbers, mobility: Array
+    ) -> list[tuple[Indices, Array, Array, Array, Array]]:
+        """Return each tree's part of the equations, and write joints' mobility (K, n).
+
+        Of each tree its joints, the blocks of steps k, k − 1 and k − 2 that no state of friction
+        changes, and what acts within a step beside friction.
+        """
+        h, trees = self.step, []
+        for joints, (by_position, by_velocity, masses) in zip(
+            self._components, slopes, strict=True
+        ):
+            E, damping = np.eye(len(joints)), drives["damping"][joints]
+            masses = masses + E * drives["armature"][joints]
+            mobility[:, joints] = diagonals(np.linalg.inv(masses + h * damping * E))
+            undamped = np.broadcast_to(E, masses.shape)
+            if self.log.stiction.early:
+                undamped = E + h * np.linalg.inv(masses) * damping
+            later = masses / h**2 + E * damping / h
+            before = masses / h**2 - by_velocity / h
+            trees.append((joints, later, by_position - later - before, before, undamped))
+        return trees
+
+    def _blocks(self, slopes: tuple[Array, ...]) -> list[tuple[Array, ...]]:
+        """Return slopes by position and by velocity, and masses, of each tree of joints."""
+        # Block by block, for most of the whole is zero.
+        return [
+            tuple(np.array(each[:, joints[:, None], joints]) for each in slopes)
+            for joints in self._components
+        ]
 
     def after(self, seconds: float) -> int:
         """Return the first row of the log that is so long after its start."""
