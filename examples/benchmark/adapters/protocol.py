@@ -198,6 +198,8 @@ def main(methods: Mapping[str, Method], libraries: tuple[str, ...] = ()) -> None
             versions[library] = version(library)
     said: dict[str, Any] = {"versions": versions, "failure": "", "status": ""}
     try:
+        if name not in methods:
+            raise LookupError(f"there is no {name!r} among {', '.join(methods)}")
         # What tools print is theirs; only a failure is kept.
         with contextlib.redirect_stdout(io.StringIO()):
             answer, wall, used = _timed(methods[name], task)
