@@ -16,7 +16,7 @@ from sdpid.estimation.positions.fit import (
     conditional,
     fit_positions,
 )
-from sdpid.estimation.positions.rollout import CommandedLog, LawRollout
+from sdpid.estimation.positions.rollout import CommandedLog
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Kinds of numbers that are free, and those that are tried beside them, one after the other.
@@ -133,11 +133,12 @@ def choose_forward(
     start = drives if delay is None else replace(drives, delay=delay)
     how: dict[str, Any] = {"delay": delay is None, "fall": ROUGH}
     fit = best = fit_positions(SolvedRollouts.of(training, start), rows, **how)
-    errors[fit.unknowns.rows] = judged(judges, fit.drives)
+    judge = SolvedRollouts.of(judges, fit.drives)
+    errors[fit.unknowns.rows] = judged(judge)
     for k in range(1, len(RICHER) + 1):
         kinds = (*rows, *RICHER[:k])
         fit = fit_positions(fit, kinds, **how)
-        errors[kinds] = judged(judges, fit.drives)
+        errors[kinds] = judged(SolvedRollouts.of(judges, fit.drives, near=judge))
         better = errors[kinds] < (1.0 - _WORTH) * errors[best.unknowns.rows]
         # Where encoders' noise is all that is left, a share of it says little.
         numbers = fit.unknowns.count - best.unknowns.count
@@ -153,7 +154,8 @@ def choose_forward(
     if delay is not None:
         return ForwardChoice(delay=delay, open=(delay, delay), **found), best
     grid = np.linspace(0.0, LONGEST_DELAY, _TRIED)
-    squares = np.array([judged(judges, conditional(best, d)[0]) for d in grid]) ** 2
+    solved = (SolvedRollouts.of(judges, conditional(best, d)[0], near=judge) for d in grid)
+    squares = np.array([judged(each) for each in solved]) ** 2
     if not np.isfinite(squares).any():
         # Nothing follows at another delay: that of the fit is all there is.
         at = best.drives.delay
@@ -176,10 +178,10 @@ def choose_forward(
     ), best
 
 
-def judged(rollouts: Sequence[LawRollout], drives: DriveNumbers) -> float:
-    """Return the error (rad, rms) of given drives on rollouts, after their start is forgotten."""
-    solved = SolvedRollouts.of(rollouts, drives)
+def judged(solved: SolvedRollouts) -> float:
+    """Return the error (rad, rms) of rollouts after their start is forgotten."""
     if not np.isfinite(solved.cost):
         return np.inf
-    late = [e[each.after(_FORGOTTEN) :] for each, e in zip(rollouts, solved.missed, strict=True)]
+    pairs = zip(solved.rollouts, solved.missed, strict=True)
+    late = [missed[each.after(_FORGOTTEN) :] for each, missed in pairs]
     return float(np.sqrt(np.mean(np.concatenate(late) ** 2)))

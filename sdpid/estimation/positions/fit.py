@@ -69,7 +69,9 @@ class SolvedRollouts:
         They start as given, or as the first samples say.
         """
         starts = [each.start() for each in rollouts] if starts is None else starts
-        guesses = [None] * len(rollouts) if near is None else [m.position for m in near.motions]
+        guesses: list[Array | None] = [None] * len(rollouts)
+        if near is not None and np.isfinite(near.cost):
+            guesses = [each.position for each in near.motions]
         motions = [
             each.run(drives, start, guess)
             for each, start, guess in zip(rollouts, starts, guesses, strict=True)

@@ -500,7 +500,7 @@ def fit_law(
         friction=fit.drives.dry(where).mean(axis=0), slope=0.0, curve=0.0
     )
     own = np.concatenate(fit.missed)
-    constant = SolvedRollouts.of(fit.rollouts, reduced, fit.starts).missed
+    constant = SolvedRollouts.of(fit.rollouts, reduced, fit.starts, fit).missed
     speed = np.sqrt(
         np.mean(np.concatenate([np.gradient(x.position, x.time, axis=0) for x in followed]) ** 2, 0)
     )
@@ -527,7 +527,7 @@ def fit_law(
         convex=estimate,
         notes=tuple(dict.fromkeys(each.commands.note for each in followed)),
         warnings=tuple(_contradictions(fitted, fit, law, problem.robot.joint_names)),
-        validated=judged(fresh, fit.drives) if fresh else None,
+        validated=judged(SolvedRollouts.of(fresh, fit.drives)) if fresh else None,
     )
 
 

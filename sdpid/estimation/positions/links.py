@@ -231,7 +231,7 @@ def with_links(estimate: Estimate, fit: PositionFit) -> tuple[Estimate, SolvedRo
         own = [each.log.rollout(links_of(problem, there)) for each in fit.rollouts]
         moved = np.clip(x + share * others, low, high)
         drives, starts = normal.unknowns.unpack(moved, fit.drives)
-        trial = SolvedRollouts.of(own, drives_with(problem, there, drives), starts)
+        trial = SolvedRollouts.of(own, drives_with(problem, there, drives), starts, fit)
         if normal.cost(there, trial.cost) < normal.cost(here, fit.cost):
             return Estimate.of_theta(problem, there, method="positions", status="given"), trial
     return estimate, fit
