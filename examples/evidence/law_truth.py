@@ -17,7 +17,7 @@ from study import Study
 
 import sdpid
 from sdpid.estimation.positions.drives import DriveNumbers
-from sdpid.estimation.positions.rollout import CommandedLog, Stiction
+from sdpid.estimation.positions.rollout import CommandedLog
 from sdpid.experiment.simulation.law import DriveCommands
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -39,7 +39,6 @@ LINKS = {
 }
 GAINS = {"leg": (20.0, 1.5), "arm": (400.0, 20.0), "quadruped": (20.0, 1.5)}
 KINDS = ("armature", "damping", "friction")
-STEP = 0.002
 DELAYS = (12.0 * np.arange(20) / 19.0).round(2).tolist()  # ms
 COLUMNS = (
     *("robot", "delay_ms", "rate_hz", "noise", "position_friction", "seed", "complete", "found"),
@@ -107,8 +106,6 @@ def simulated(case: tuple, data: Path) -> tuple[sdpid.RobotModel, sdpid.Recordin
         time=time,
         position=gaussian_filter1d(command, 0.02 * rate, axis=0),
         commands=commands,
-        step=STEP,
-        stiction=Stiction.mujoco(),
     )
     rollout = followed.rollout(links)
     # Links move along the commands at first, then along the motion itself.

@@ -13,7 +13,7 @@ from sdpid.errors import DataError, SolverError
 from sdpid.estimation.positions.choose import CONSTANTS, choose_forward
 from sdpid.estimation.positions.drives import UNITS, DriveNumbers
 from sdpid.estimation.positions.fit import SolvedRollouts, fit_positions
-from sdpid.estimation.positions.rollout import CommandedLog, Stiction
+from sdpid.estimation.positions.rollout import STEP, CommandedLog
 from sdpid.experiment.simulation.law import DriveCommands
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -27,7 +27,7 @@ LEG = """<body name="{0}thigh" pos="0 {1} 0"><joint name="{0}hip" axis="0 1 0" {
 <geom type="capsule" fromto="0 0 0 0 0 -.2" size=".02" mass=".3" contype="0" conaffinity="0"/>
 </body></body>"""
 DRIVES = 'armature="0.01" damping="0.3" frictionloss="0.25"'
-N, RATE, H = 4, 200.0, 0.002
+N, RATE = 4, 200.0
 KP, KD = 20.0, 1.0
 
 
@@ -63,19 +63,12 @@ def drives(**rows):
     return made.with_rows(**usual | rows)
 
 
-def followed(time, position, command, **changes):
+def followed(time, position, command, limit=np.inf):
     """A log of positions under held commands."""
-    limit = np.full(N, np.inf)
     commands = DriveCommands(
-        command=command, feedforward=0.0 * command, limit=limit, held=True, note=""
+        command=command, feedforward=0.0 * command, limit=np.full(N, limit), held=True, note=""
     )
-    return CommandedLog(
-        time=time,
-        position=position,
-        step=H,
-        stiction=Stiction.mujoco(),
-        **{"commands": commands} | changes,
-    )
+    return CommandedLog(time=time, position=position, commands=commands)
 
 
 def simulated(model, told, start, limit=np.inf):
@@ -95,14 +88,7 @@ def simulated(model, told, start, limit=np.inf):
 def test_rollout_is_that_of_mujoco(legs, limit):
     model, links = legs
     time, command = commanded(4.0)
-    commands = DriveCommands(
-        command=command,
-        feedforward=0.0 * command,
-        limit=np.full(N, limit),
-        held=True,
-        note="",
-    )
-    rollout = followed(time, command, command, commands=commands).rollout(links)
+    rollout = followed(time, command, command, limit).rollout(links)
     start = np.stack([command[0], np.zeros(N)])
     reference = simulated(model, rollout.commands(0.006)[0], start, limit)
     noise = 1e-3 * np.random.default_rng(0).standard_normal(reference.shape)
@@ -155,7 +141,7 @@ def test_fit_finds_drives_and_delay(legs):
     rollout = followed(time, command, command).rollout(links)
     start = np.stack([command[0], np.zeros(N)])
     truth = simulated(model, rollout.commands(0.007)[0], start)
-    grid = H * np.arange(len(truth))
+    grid = STEP * np.arange(len(truth))
     position = np.stack([np.interp(time, grid, truth[:, j]) for j in range(N)], axis=1)
     position += 1e-4 * np.random.default_rng(0).standard_normal(position.shape)
     begin = drives(armature=0.02, damping=0.1, friction=0.1)

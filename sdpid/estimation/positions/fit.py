@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import SolverError
 from sdpid.estimation.positions.drives import DriveNumbers, Unknowns
-from sdpid.estimation.positions.rollout import LawRollout, SolvedMotion
+from sdpid.estimation.positions.rollout import STEP, LawRollout, SolvedMotion
 
 # Rounds of Gauss-Newton, and the relative fall of the cost that a round must promise.
 _ROUNDS, FALL = 40, 1e-5
@@ -269,7 +269,7 @@ def scaled_inverse(H: Array) -> Array:
 def _block_starts(rollout: LawRollout) -> Indices:
     """Return the first rows of blocks that count as independent."""
     rows = len(rollout.measured)
-    count = max(_BLOCKS, int(rollout.count * rollout.step / _LEAST_BLOCK))
+    count = max(_BLOCKS, int(rollout.count * STEP / _LEAST_BLOCK))
     return np.unique(np.linspace(0, rows, min(count, rows), endpoint=False).astype(np.intp))
 
 

@@ -36,20 +36,18 @@ from sdpid.estimation.positions.links import (
     theta_with,
     with_links,
 )
-from sdpid.estimation.positions.rollout import CommandedLog, Stiction
+from sdpid.estimation.positions.rollout import CommandedLog
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.controllers import PD
-from sdpid.experiment.simulation.law import DriveCommands, with_efforts_of_law
+from sdpid.experiment.simulation.law import with_efforts_of_law
 from sdpid.robot.friction.posed import PositionFriction
 from sdpid.robot.model.model import RobotModel
 
 # Where a model is used: what its friction may be.
 Target = Literal["mujoco", "isaac", "urdf"]
-# The step (s) of the targets' integrators, by which motions are solved.
-STEP = 0.002
 
 # Two-sided 95 % of a normal distribution.
 _NORMAL = 1.959964
@@ -443,19 +441,9 @@ def fit_law(
     SolverError
         When the robot does not follow its commands under this law.
     """
-    problem, stiction = estimate.problem, Stiction.mujoco()
+    problem = estimate.problem
     followed, others = (
-        [
-            CommandedLog(
-                time=np.array(log.time),
-                position=np.array(log.position),
-                commands=DriveCommands.of(log, law),
-                step=STEP,
-                stiction=stiction,
-            )
-            for log in several
-        ]
-        for several in (logs, validation)
+        [CommandedLog.of(log, law) for log in several] for several in (logs, validation)
     )
     where = np.concatenate([each.position for each in followed])
     gains = (start or law).gains

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.estimation.positions.drives import DriveNumbers
-from sdpid.experiment.simulation.controllers import inverse_dynamics_slopes
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.simulation.controllers import PD, inverse_dynamics_slopes
 from sdpid.experiment.simulation.law import DriveCommands
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -29,23 +30,15 @@ _SETTLED, _ROUNDS = 1e-5, 15
 # its position and velocity, not with its noise.
 _SMOOTH_HZ = 20.0
 
+# The step (s) of the targets' integrators: velocities are updated first, then positions by the new
+# velocities.
+STEP = 0.002
 
-class Stiction(NamedTuple):
-    """How dry friction holds a joint: ``force = stiffness·m·(a + rate·v)``, up to its level.
-
-    m is what the joint weighs: the inverse of its diagonal entry of the inverse mass matrix at the
-    reference pose. The acceleration a is that before damping acts within the step, where `early`.
-    """
-
-    stiffness: float
-    rate: float
-    early: bool = False
-
-    @classmethod
-    def mujoco(cls) -> Stiction:
-        """Return MuJoCo's, of its default ``solreffriction`` and ``solimpfriction``."""
-        least, most, time = 0.9, 0.95, 0.02
-        return cls(least / (1.0 - least), 2.0 / (most * time), early=True)
+# Dry friction holds a joint as MuJoCo's does, up to its level, of its default `solreffriction` and
+# `solimpfriction`: with the force ``stiffness·m·(a + rate·v)``. m is what the joint weighs: the
+# inverse of its diagonal entry of the inverse mass matrix at the reference pose. The acceleration a
+# is that before damping acts within the step.
+_STIFFNESS, _RATE = 0.9 / (1.0 - 0.9), 2.0 / (0.95 * 0.02)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,17 +77,23 @@ class CommandedLog:
         Measured positions, rad (m).
     commands : DriveCommands
         Commands, added efforts and limits.
-    step : float
-        Length of a step, s: velocities are updated first, then positions by the new velocities.
-    stiction : Stiction
-        How dry friction holds.
     """
 
     time: Array
     position: Array
     commands: DriveCommands
-    step: float
-    stiction: Stiction
+
+    @classmethod
+    def of(cls, log: Recording, law: PD) -> CommandedLog:
+        """Take the positions and commands of a recording.
+
+        Raises
+        ------
+        DataError
+            When it has no commands.
+        """
+        commands = DriveCommands.of(log, law)
+        return cls(time=np.array(log.time), position=np.array(log.position), commands=commands)
 
     def rollout(self, links: RobotDynamics, part: slice = slice(None)) -> LawRollout:
         """Return a rollout over rows of the log."""
@@ -116,10 +115,10 @@ class LawRollout:
     """
 
     def __init__(self, links: RobotDynamics, log: CommandedLog) -> None:
-        self.links, self.log, self.measured, self.step = links, log, log.position, log.step
-        self._time, step = log.time - log.time[0], log.step
-        self.count = int(np.floor(self._time[-1] / step + 1e-9))
-        self._grid = step * np.arange(self.count + 1)
+        self.links, self.log, self.measured = links, log, log.position
+        self._time = log.time - log.time[0]
+        self.count = int(np.floor(self._time[-1] / STEP + 1e-9))
+        self._grid = STEP * np.arange(self.count + 1)
         self._guess = np.stack(
             [np.interp(self._grid, self._time, column) for column in log.position.T], axis=1
         )
@@ -136,13 +135,13 @@ class LawRollout:
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, drives: DriveNumbers, start: Array, guess: Array | None = None) -> SolvedMotion:
         """Solve the motion from a start (2, n); `guess` are positions (K + 1, n) to begin at."""
-        h, n = self.step, len(drives.middle)
+        h, n = STEP, len(drives.middle)
         q = (self._guess if guess is None else guess).copy()
         command, feedforward = self.commands(drives.delay)
         armature, damping, kp, kd = (drives[k] for k in ("armature", "damping", "kp", "kd"))
-        limit, rule = self.log.commands.limit, self.log.stiction
+        limit = self.log.commands.limit
         weight = 1.0 / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
-        stiff = rule.stiffness * weight
+        stiff = _STIFFNESS * weight
         mobility = np.empty((self.count, n))
         trees, size, size_before = self._trees(self._slopes, drives, mobility), np.inf, np.inf
         for number in range(_ROUNDS):
@@ -161,7 +160,7 @@ class LawRollout:
             rest = self.links.inverse_dynamics(here, speed, a)
             rest += armature * a + damping * v[1:] + drives["offset"] - effort
             # The force that would hold a joint, were its row alone: it decides whether it sticks.
-            sticking = rule.rate * speed
+            sticking = _RATE * speed
             for joints, *_, undamped in trees:
                 sticking[:, joints] += np.einsum("kij,kj->ki", undamped, a[:, joints])
             sticking *= stiff
@@ -173,7 +172,7 @@ class LawRollout:
             z = here - drives.middle
             hold = sticks * stiff
             leaning = side * (level > 0.0) * (drives["slope"] + 2.0 * z * drives["curve"])
-            by_speed = (hold * rule.rate + free * kd) / h
+            by_speed = (hold * _RATE + free * kd) / h
             by_place = leaning + free * kp + by_speed
             factors, earlier = [], []
             move = np.empty_like(rest)
@@ -264,7 +263,7 @@ class LawRollout:
                 k += 1
             push[0, :, k : k + m] = now + before[0]
             push[1, :, k : k + m] = before[1]
-            push[0, :, k + m :] = -self.step * before[0]
+            push[0, :, k + m :] = -STEP * before[0]
             first[own, k + own] = 1.0
             if regressor is not None:
                 places = (10 * joints[:, None] + np.arange(10)).ravel()
@@ -282,16 +281,14 @@ class LawRollout:
         Of each tree its joints, the blocks of steps k, k − 1 and k − 2 that no state of friction
         changes, and what acts within a step beside friction.
         """
-        h, trees = self.step, []
+        h, trees = STEP, []
         for joints, (by_position, by_velocity, masses) in zip(
             self._components, slopes, strict=True
         ):
             E, damping = np.eye(len(joints)), drives["damping"][joints]
             masses = masses + E * drives["armature"][joints]
             mobility[:, joints] = diagonals(np.linalg.inv(masses + h * damping * E))
-            undamped = np.broadcast_to(E, masses.shape)
-            if self.log.stiction.early:
-                undamped = E + h * np.linalg.inv(masses) * damping
+            undamped = E + h * np.linalg.inv(masses) * damping
             later = masses / h**2 + E * damping / h
             before = masses / h**2 - by_velocity / h
             trees.append((joints, later, by_position - later - before, before, undamped))
@@ -319,29 +316,29 @@ class LawRollout:
         """Return means of commands and of added efforts over each step; or how the first change."""
         # Simulators hold what is told at the start of a step: the mean about that instant, since a
         # fit needs something smooth in the delay.
-        edges = np.asarray(self._grid - delay - 0.5 * self.step)
+        edges = np.asarray(self._grid - delay - 0.5 * STEP)
         if derivative:
             # Over as long as the steps: what is held between commands changes in jumps.
-            h = 0.25 * self.step
-            parts = [np.diff(self._commands(edges + x), axis=0) / self.step for x in (-h, h)]
+            h = 0.25 * STEP
+            parts = [np.diff(self._commands(edges + x), axis=0) / STEP for x in (-h, h)]
             return (parts[0] - parts[1]) / (2.0 * h), np.zeros((0, 0))
         command, added = (np.diff(at(edges), axis=0) for at in (self._commands, self._added))
-        return command / self.step, added / self.step
+        return command / STEP, added / STEP
 
     def _smooth(self) -> tuple[Array, Array, Array]:
         """Return smooth positions, velocities and accelerations, (K, n) each."""
         from scipy.ndimage import gaussian_filter1d
 
-        width = 1.0 / (2.0 * np.pi * _SMOOTH_HZ * self.step)
+        width = 1.0 / (2.0 * np.pi * _SMOOTH_HZ * STEP)
         q, v, a = (
-            gaussian_filter1d(self._guess, width, axis=0, order=k, mode="nearest") / self.step**k
+            gaussian_filter1d(self._guess, width, axis=0, order=k, mode="nearest") / STEP**k
             for k in range(3)
         )
         return q[:-1], v[:-1], a[:-1]
 
     def _at_stamps(self, values: Array) -> Array:
         """Interpolate values (K + 1, ...) on the grid at the log's time stamps."""
-        place = np.clip(self._time / self.step, 0.0, self.count)
+        place = np.clip(self._time / STEP, 0.0, self.count)
         row = np.minimum(place.astype(np.intp), self.count - 1)
         share = (place - row).reshape(-1, *[1] * (values.ndim - 1))
         return np.asarray(values[row] * (1.0 - share) + values[row + 1] * share)

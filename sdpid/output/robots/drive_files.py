@@ -16,7 +16,8 @@ import numpy as np
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
 from sdpid.estimation.positions.drives import UNITS
-from sdpid.estimation.positions.law_fit import STEP, FittedDrives
+from sdpid.estimation.positions.law_fit import FittedDrives
+from sdpid.estimation.positions.rollout import STEP
 
 # Friction over the position is f0 + f1·(q − middle) + f2·(q − middle)².
 OVER_POSITION = {"f0": "friction", "f1": "slope", "f2": "curve"}
