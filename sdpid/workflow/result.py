@@ -258,14 +258,14 @@ def _friction(result: Judged, folder: Path, note: Callable[[str], None]) -> None
     left_out: dict[str, None] = {}
     for name in FRICTION_FILES if estimate.problem.friction.terms else ():
         try:
-            said = write_friction(estimate, folder / name, certificate=certificate)
+            missing = write_friction(estimate, folder / name, certificate=certificate)
         except ExportError as reason:
             # A full disk, that is; else it is a term that no file can hold.
             if isinstance(reason.__cause__, OSError):
                 raise
             note(f"no {' and no '.join(FRICTION_FILES)}: {reason}")
             return
-        left_out |= dict.fromkeys(said)
+        left_out |= dict.fromkeys(missing)
     for each in left_out:
         note(each)
 

@@ -24,7 +24,7 @@ from tests.estimation.test_positions import (
     KP,
     LEG,
     LEGS,
-    H,
+    STEP,
     N,
     commanded,
     drives,
@@ -113,12 +113,12 @@ def test_files_play_what_was_fitted(legs, result, tmp_path, tendons):
     data = mujoco.MjData(model)
     data.qpos[:] = log.reference[0]
     played = [data.qpos.copy()]
-    for k in range(int(log.duration / H)):
-        row = max(np.searchsorted(log.time, k * H - told["delay_s"] + 1e-9, side="right") - 1, 0)
+    for k in range(int(log.duration / STEP)):
+        row = max(np.searchsorted(log.time, k * STEP - told["delay_s"] + 1e-9, side="right") - 1, 0)
         data.qfrc_applied[:] = KP * (log.reference[row] - data.qpos) - KD * data.qvel
         mujoco.mj_step(model, data)
         played.append(data.qpos.copy())
-    grid = H * np.arange(len(played))
+    grid = STEP * np.arange(len(played))
     at = np.stack([np.interp(log.time, grid, x) for x in np.array(played).T], axis=1)
     error = float(np.sqrt(np.mean((at - log.position)[60:] ** 2)))
     assert error < (1.5e-3 if tendons else 1.2 * result.drives.rms_reduced + 1e-3)

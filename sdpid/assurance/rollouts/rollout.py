@@ -164,7 +164,7 @@ def rollout(
         baselines=baselines,
         seed=seed,
     )
-    return simulations.rollout(free, controller, told=law is not None)
+    return simulations.rollout(free, controller, of_law=law is not None)
 
 
 @one_thread
@@ -237,9 +237,9 @@ class _Simulations:
         free: str | Iterable[str],
         controller: Controller | None = None,
         *,
-        told: bool = False,
+        of_law: bool = False,
     ) -> Rollout:
-        """Simulate all models with some joints free, and compare; `told` as a law acts."""
+        """Simulate all models with some joints free, and compare; commands act as under a law."""
         robot, track, first = self.robot, self.track, self.first
         which, named = _free_joints(robot, free, controller, self.absent)
         joints, instants = np.nonzero(which)[1].tolist(), first[:, None] + self.after
@@ -247,7 +247,7 @@ class _Simulations:
         way = f"in steps of {1e3 * track.step:.3g} ms under the filtered efforts, which raw ones "
         way += "hardly change"
         motion: CommandedMotion | None = None
-        if told:
+        if of_law:
             assert self.log is not None
             assert isinstance(controller, PD)
             motion = CommandedMotion.under(match_joints(robot, self.log), controller)

@@ -205,10 +205,10 @@ class ClosedLoop:
         as_measured: bool = True,
         law: bool = False,
     ) -> None:
-        told = [CommandedMotion.under(x, controller) for x in twin.logs] if law else None
-        if told is not None:
+        commands = [CommandedMotion.under(x, controller) for x in twin.logs] if law else []
+        if law:
             # What acts, at the stamps.
-            reference = [each.at(each.time)[:, 0] for each in told]
+            reference = [each.at(each.time)[:, 0] for each in commands]
         self.twin, self.control_hz, self.purpose = commanded(twin, reference), control_hz, purpose
         self.references = references(self.twin, f"{purpose}:")
         self.controller = _controller(controller, self.twin.logs[0], purpose, exact=exact)
@@ -221,11 +221,11 @@ class ClosedLoop:
         # simulated, how many of these lie between its own, and where the robot was at the first.
         self._paths: list[tuple[DesiredMotion, int, tuple[Array, Array] | None]] = []
         for number, log in enumerate(self.twin.logs):
-            given: Any = log if told is None else told[number]
+            given: Any = commands[number] if law else log
             desired, every, start = DesiredMotion.of(given, log.n, None), 1, None
             if as_measured:
                 # Steps are no smooth motion about which the measured one could be.
-                states = desired.at(desired.time) * (told is None)
+                states = desired.at(desired.time) * (not law)
                 start = _start(log, desired.time, states)
                 every = max(1, int(np.ceil(log.step / _LINEARIZED - 1e-6)))
                 count = len(desired.time)

@@ -52,7 +52,7 @@ Target = Literal["mujoco", "isaac", "urdf"]
 # Two-sided 95 % of a normal distribution.
 _NORMAL = 1.959964
 
-# A delay is told where its interval is no longer than this, s.
+# A delay is known where its interval is no longer than this, s.
 _SHARP = 2e-3
 
 # The relative fall of the cost that a round must promise before the choice: links move after it.
@@ -200,8 +200,8 @@ class FittedDrives(Shown):
             rows[:, -1] = self.rich["kp"] * self.speed
         own = np.sqrt(np.einsum("ij,jk,ik->i", rows, self.covariance, rows))
         alone = np.sqrt(np.diag(self.covariance))[damping] * self.speed
-        told = np.stack([rows @ self.values, own, alone], axis=1)
-        return {x: tuple(each) for x, each in zip(self.joint_names, told.tolist(), strict=True)}
+        sums = np.stack([rows @ self.values, own, alone], axis=1).tolist()
+        return dict(zip(self.joint_names, map(tuple, sums), strict=True))
 
     def sharp_table(self) -> Table:
         """Return `sharp` as a table, a row a joint."""
@@ -212,25 +212,25 @@ class FittedDrives(Shown):
     @property
     def summary(self) -> str:
         """The errors of positions in a sentence."""
-        told = [f"constants {1e3 * self.rms_reduced:.3g}"]
+        parts = [f"constants {1e3 * self.rms_reduced:.3g}"]
         if "slope" in self.kinds:
-            told.append(f"friction over position {1e3 * self.rms:.3g}")
+            parts.append(f"friction over position {1e3 * self.rms:.3g}")
         judged = 1e3 * self.choice.errors[self.kinds]
-        told.append(f"the fastest third, fitted without it, {judged:.3g}")
+        parts.append(f"the fastest third, fitted without it, {judged:.3g}")
         if self.validated is not None:
-            told.append(f"other logs {1e3 * self.validated:.3g}")
-        return f"{' | '.join(told)} mrad rms of rollouts"
+            parts.append(f"other logs {1e3 * self.validated:.3g}")
+        return f"{' | '.join(parts)} mrad rms of rollouts"
 
     @property
     def proof(self) -> str:
         """What stands for the links and drives, which no proof covers, in words."""
-        told = f"not proven: the best of {len(self.starts)} starts of a local search"
+        text = f"not proven: the best of {len(self.starts)} starts of a local search"
         if len(self.starts) == 1:
-            told = "not proven: found by a local search from one start"
+            text = "not proven: found by a local search from one start"
         if self.remaining is None:
-            return told
+            return text
         return (
-            f"{told}, about which no possible links lower the linearized cost by more than "
+            f"{text}, about which no possible links lower the linearized cost by more than "
             f"{100.0 * self.remaining:.1g} % (a bound by duality)"
         )
 
@@ -277,12 +277,11 @@ class FittedDrives(Shown):
         slopes = [np.polyfit(delays[near], self.along[x][near], 1)[0] for x in CONSTANTS[:2]]
         armature, damping = (1e-3 * float(np.mean(x)) for x in slopes)
         # A number at its bound has no deviation.
-        told = [x for x in self.sharp().values() if x[1] > 0.0 and x[2] > 0.0]
-        ratios = [parts / own for _, own, parts in told] or [1.0]
+        ratios = [part / own for _, own, part in self.sharp().values() if min(own, part) > 0.0]
         return (
             f"with each ms armature changes by {armature:+.2g} kg.m2 and damping by {damping:+.2g} "
             "N.m.s/rad; friction + (damping + kp*delay)*v is known "
-            f"{float(np.median(ratios)):.1f} times better than damping alone"
+            f"{float(np.median(ratios or [1.0])):.1f} times better than damping alone"
         )
 
     @property
@@ -308,7 +307,7 @@ class FittedDrives(Shown):
             of constants.
         """
         problem, links = self.convex.problem, 10 * self.convex.problem.robot.n_links
-        values = {"Ia": self.rich["armature"], "Fv": self.rich["damping"]}
+        theta = theta_with(problem, self.convex.some_theta, self.reduced)
         if rich and "slope" in self.kinds:
             low, high = (tuple(self.along[end].tolist()) for end in ("lower", "upper"))
             term = PositionFriction(low, high)
@@ -319,13 +318,12 @@ class FittedDrives(Shown):
                 constraints=problem.constraints,
                 check_excitation=False,
             )
-            levels = term.control_values(self.rich.dry)
-            values |= dict(zip(("Fpa", "Fpb", "Fpc"), levels, strict=True))
-        else:
-            values["Fs"] = self.reduced["friction"]
-        names = problem.friction.parameters
-        found = [values[x.symbol][x.joint] for x in names]
-        theta = np.concatenate([self.convex.some_theta[:links], found])
+            kinds = [
+                self.rich["damping"],
+                self.rich["armature"],
+                *term.control_values(self.rich.dry),
+            ]
+            theta = np.concatenate([theta[:links], *kinds])
         return Estimate.of_theta(
             problem,
             theta,
@@ -604,7 +602,7 @@ def _contradictions(
         trials["delay"] = {"rows": rows, "delay": True}
     if law.kp is not None:
         trials["kp"] = {"rows": (*rows, "kp")}
-    told: list[tuple[float, str]] = []
+    named: list[tuple[float, str]] = []
     for what, how in trials.items():
         try:
             free = fitted(fit, fall=_GLANCE, **how)
@@ -632,8 +630,8 @@ def _contradictions(
             f"{1e3 * free.rms:.3g} in place of {1e3 * fit.rms:.3g} mrad rms; leave --{what} out to "
             "have it found"
         )
-        told.append((free.cost, words))
-    yield from (words for _, words in sorted(told)[:1])
+        named.append((free.cost, words))
+    yield from (words for _, words in sorted(named)[:1])
 
 
 def too_heavy(logs: Sequence[Recording], law: PD, robot: RobotModel, delay: float) -> Iterator[str]:

@@ -67,7 +67,7 @@ class SolvedMotion:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommandedLog:
-    """A log of positions and what its drives were told, for rollouts over parts of it.
+    """A log of positions and commands, for rollouts over parts of it.
 
     Attributes
     ----------
@@ -314,7 +314,7 @@ class LawRollout:
 
     def commands(self, delay: float, *, derivative: bool = False) -> tuple[Array, Array]:
         """Return means of commands and of added efforts over each step; or how the first change."""
-        # Simulators hold what is told at the start of a step: the mean about that instant, since a
+        # Simulators hold the command at the start of a step: the mean about that instant, since a
         # fit needs something smooth in the delay.
         edges = np.asarray(self._grid - delay - 0.5 * STEP)
         if derivative:

@@ -159,8 +159,8 @@ class ExportReport(Shown):
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         others = ("path", "links_changed", "joints_changed", "kind")
-        told = {key: value for key, value in plain(self).items() if key not in others}
-        return {"file": self.path.name, **told}
+        rest = {key: value for key, value in plain(self).items() if key not in others}
+        return {"file": self.path.name, **rest}
 
 
 def file_errors(

@@ -337,19 +337,19 @@ def write_friction(
     model = estimate if isinstance(estimate, RobotDynamics) else estimate.model()
     data = friction_data(model, certificate=certificate)
     atomic_write_text(path, writer(data))
-    said: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
     if Tilt.__name__ in data["left_out"]:
         gravity = ", ".join(f"{x:.5g}" for x in model.tilted_gravity)
-        said += (
+        missing += (
             f"{path.stem}: the tilt of the base is not in it, since gravity is the links': take "
             f"({gravity}) m/s² as gravity in the base",
         )
     if others := [each for each in dict.fromkeys(data["left_out"]) if each != Tilt.__name__]:
-        said += (
+        missing += (
             f"{path.stem}: terms of positions and of joints behind a transmission are not in it: "
             f"{', '.join(others)}; take estimate.model()",
         )
-    return said
+    return missing
 
 
 def friction_data(

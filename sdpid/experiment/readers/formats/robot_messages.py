@@ -29,7 +29,7 @@ def _joint_state(message: Any, _: Sequence[str] | None) -> Joints:
 
 
 def _controller_state(message: Any, _: Sequence[str] | None) -> Joints:
-    """Return what a controller of trajectories measures, is told, and asks for as effort."""
+    """Return what a controller of trajectories measures, is commanded, and asks for as effort."""
 
     def first(field: str, *points: str) -> Sequence[float]:
         # Older messages have other names for the same; parts that are not used are empty.
