@@ -36,7 +36,7 @@ from sdpid.estimation.positions.links import (
     theta_with,
     with_links,
 )
-from sdpid.estimation.positions.rollout import CommandedLog
+from sdpid.estimation.positions.rollout import STEP, CommandedLog
 from sdpid.estimation.problem import build_problem
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.samples import Samples
