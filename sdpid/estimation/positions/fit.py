@@ -29,7 +29,7 @@ _RIDGE = 1e-9
 _BLOCKS, _LEAST_BLOCK = 10, 0.3
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SolvedRollouts:
     """Motions of rollouts for some numbers, and what they miss of the positions.
 
@@ -79,14 +79,7 @@ class SolvedRollouts:
         missed = [r.measured - r.positions(m) for r, m in zip(rollouts, motions, strict=True)]
         cost = float(sum(np.sum(each**2) for each in missed))
         solved = all(each.converged for each in motions) and np.isfinite(cost)
-        return cls(
-            rollouts=rollouts,
-            drives=drives,
-            starts=starts,
-            motions=motions,
-            missed=missed,
-            cost=cost if solved else np.inf,
-        )
+        return cls(rollouts, drives, starts, motions, missed, cost if solved else np.inf)
 
     @property
     def size(self) -> int:

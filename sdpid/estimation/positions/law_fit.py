@@ -67,6 +67,12 @@ _FELL, _MOST_STEPS = 0.2, 4
 # Steps for the links after the choice, where nothing is missing in the model.
 _POLISHED = 2
 
+# What JSON has of a fit under the same names.
+_LISTED = (
+    *("target", "kinds", "rms", "rms_reduced", "starts", "complete", "remaining", "proof"),
+    *("along", "given_up", "notes", "warnings", "delay_found"),
+)
+
 # Delays over which numbers are shown.
 _SHOWN = 11
 
@@ -360,21 +366,10 @@ class FittedDrives(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        names = (
-            "target",
-            "kinds",
-            "rms",
-            "rms_reduced",
-            "starts",
-            "complete",
-            "remaining",
-            "proof",
-        )
-        more = ("along", "given_up", "notes", "warnings", "delay_found")
         ends, parts = ("value", "low", "high"), ("value", "deviation", "deviation_of_damping")
         return plain_dict(
             {
-                **{name: getattr(self, name) for name in (*names, *more)},
+                **{name: getattr(self, name) for name in _LISTED},
                 "delay_s": self.delay,
                 "delay_interval_s": self.delay_interval,
                 "delay_fitted_s": self.choice.fitted,

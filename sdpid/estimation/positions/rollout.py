@@ -246,7 +246,7 @@ class LawRollout:
             "kp": -motion.error * motion.free,
             "kd": v[:-1] * motion.free,
         }
-        lag = self.commands(drives.delay, derivative=True)[0] * drives["kp"] * motion.free
+        lag = self._command_rate(drives.delay) * drives["kp"] * motion.free
         found = []
         for joints, factor, (now, before) in zip(
             self._components, motion.factors, motion.before, strict=True
@@ -312,18 +312,22 @@ class LawRollout:
         slope, value = np.polyfit(self._time[:few], self.measured[:few], 1)
         return np.stack([value, slope])
 
-    def commands(self, delay: float, *, derivative: bool = False) -> tuple[Array, Array]:
-        """Return means of commands and of added efforts over each step; or how the first change."""
-        # Simulators hold the command at the start of a step: the mean about that instant, since a
-        # fit needs something smooth in the delay.
-        edges = np.asarray(self._grid - delay - 0.5 * STEP)
-        if derivative:
-            # Over as long as the steps: what is held between commands changes in jumps.
-            h = 0.25 * STEP
-            parts = [np.diff(self._commands(edges + x), axis=0) / STEP for x in (-h, h)]
-            return (parts[0] - parts[1]) / (2.0 * h), np.zeros((0, 0))
+    def commands(self, delay: float) -> tuple[Array, Array]:
+        """Return means of commands and of added efforts over each step."""
+        edges = self._edges(delay)
         command, added = (np.diff(at(edges), axis=0) for at in (self._commands, self._added))
         return command / STEP, added / STEP
+
+    def _command_rate(self, delay: float) -> Array:
+        """Return how means of commands change, over as long as the steps: held ones jump."""
+        edges, h = self._edges(delay), 0.25 * STEP
+        parts = [np.diff(self._commands(edges + x), axis=0) / STEP for x in (-h, h)]
+        return (parts[0] - parts[1]) / (2.0 * h)
+
+    def _edges(self, delay: float) -> Array:
+        # Simulators hold the command at the start of a step: the mean about that instant, since a
+        # fit needs something smooth in the delay.
+        return np.asarray(self._grid - delay - 0.5 * STEP)
 
     def _smooth(self) -> tuple[Array, Array, Array]:
         """Return smooth positions, velocities and accelerations, (K, n) each."""

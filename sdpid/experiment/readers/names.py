@@ -163,7 +163,8 @@ _OF_MESSAGE = re.compile(
     r"|(?P<point>reference|desired|feedback|actual|error|output)[/.]"
     r"(?P<field>positions|velocities|accelerations|effort)[\[/._]*(?P<at>\d+)\]?)"
 )
-_MESSAGES = {
+# Quantities by the part of a message and the field; of several the first that is filled.
+OF_MESSAGES = {
     ("motor_state", "q"): "position",
     ("motor_state", "dq"): "velocity",
     ("motor_state", "tau_est"): "effort",
@@ -186,7 +187,7 @@ def of_message(name: str) -> str | None:
     if match is None:
         return None
     where = match["motor"] or match["point"], match["part"] or match["field"]
-    quantity = _MESSAGES.get(where)
+    quantity = OF_MESSAGES.get(where)
     return "" if quantity is None else f"{quantity}_{match['of'] or match['at']}"
 
 

@@ -10,6 +10,8 @@ from functools import partial
 from itertools import product
 from typing import Any
 
+from sdpid.experiment.readers.names import OF_MESSAGES
+
 # Names of the joints of a message, and numbers by quantity: none, or one a joint.
 Joints = tuple[Sequence[str], dict[str, Sequence[float]]]
 
@@ -29,19 +31,15 @@ def _joint_state(message: Any, _: Sequence[str] | None) -> Joints:
 
 
 def _controller_state(message: Any, _: Sequence[str] | None) -> Joints:
-    """Return what a controller of trajectories measures, is commanded, and asks for as effort."""
+    """Return what a controller of trajectories measures, is commanded, and asks for as effort.
 
-    def first(field: str, *points: str) -> Sequence[float]:
-        # Older messages have other names for the same; parts that are not used are empty.
-        found = (getattr(getattr(message, point, None), field, ()) for point in points)
-        return next((values for values in found if len(values)), ())
-
-    return message.joint_names, {
-        "position": first("positions", "feedback", "actual"),
-        "velocity": first("velocities", "feedback", "actual"),
-        "effort": first("effort", "feedback", "actual", "output"),
-        "reference": first("positions", "reference", "desired"),
-    }
+    Older messages have other names for the same; parts that are not used are empty.
+    """
+    rows: dict[str, Sequence[float]] = {}
+    for (point, field), quantity in OF_MESSAGES.items():
+        if len(values := getattr(getattr(message, point, None), field, ())):
+            rows.setdefault(quantity, values)
+    return message.joint_names, rows
 
 
 def _dynamic_state(message: Any, _: Sequence[str] | None) -> Joints:
@@ -64,8 +62,8 @@ def _motors(message: Any, chosen: Sequence[str] | None, known: Sequence[str] = (
     motors = message.motor_state
     names = known if set(chosen or ()) <= set(known) else chosen
     names = names or [f"motor_{k}" for k in range(len(motors))]
-    fields = {"position": "q", "velocity": "dq", "effort": "tau_est"}
     used = motors[: len(names)]
+    fields = {quantity: f for (part, f), quantity in OF_MESSAGES.items() if part == "motor_state"}
     return names, {name: [getattr(m, field) for m in used] for name, field in fields.items()}
 
 

@@ -108,8 +108,8 @@ def load_rosbag(
         joints = _Joints(values_of, joint_names)
         states, commands = _Stream(joints.row), _Stream(commands_of_motors)
         taken[_topic(reader, kind, topic, "topic=", usual) or ""] = kind, states
-        if told := _topic(reader, COMMANDS.get(kind, ""), None, "one LowCmd topic a bag"):
-            taken[told] = COMMANDS[kind], commands
+        if commanded := _topic(reader, COMMANDS.get(kind, ""), None, "one LowCmd topic a bag"):
+            taken[commanded] = COMMANDS[kind], commands
         connections = [c for c in reader.connections if taken.get(c.topic, "")[:1] == (c.msgtype,)]
         for connection, recorded, raw in reader.messages(connections=connections):
             message = reader.deserialize(raw, connection.msgtype)
@@ -264,13 +264,15 @@ class _Joints:
 def _from_first(
     arrays: Mapping[str, NDArray[Any]], commands: _Stream, states: _Stream, motors: Sequence[int]
 ) -> dict[str, NDArray[Any]]:
-    """Return arrays from the first command on, with what each motor was told last."""
+    """Return arrays from the first command on, with each motor's last command."""
     when = states.since(states, own=False)
     row = np.searchsorted(commands.since(states, own=False), when, side="right") - 1
     known = row >= 0
-    told = commands.table.reshape(len(commands.recorded), 2, -1)[row[known]][:, :, list(motors)]
+    commanded = commands.table.reshape(len(commands.recorded), 2, -1)[row[known]][
+        :, :, list(motors)
+    ]
     kept = {n: each if n == "joint_names" else each[known] for n, each in arrays.items()}
-    return {**kept, "reference": told[:, 0], "feedforward": told[:, 1]}
+    return {**kept, "reference": commanded[:, 0], "feedforward": commanded[:, 1]}
 
 
 def _at_states(
