@@ -188,6 +188,14 @@ def test_the_recipe_of_conda_asks_for_what_the_package_does() -> None:
     assert others == [line.replace("pin ", "pinocchio ") for line in needs]
 
 
+def test_tests_that_scripts_name_exist() -> None:
+    named = re.compile(r"\btests/[\w/]+(?:\.py)?")
+    scripts = [ROOT / ".ci" / name for name in ("run", "nightly", "lowest", "package")]
+    paths = {path for script in scripts for path in named.findall(script.read_text("utf-8"))}
+    assert paths
+    assert [path for path in sorted(paths) if not (ROOT / path).exists()] == []
+
+
 # Options that pages name exist, and those of a command that is written out are its own.
 
 
