@@ -115,7 +115,7 @@ def test_the_command_line_wins(folder: Path) -> None:
     ("text", "words"),
     [
         ("cutof = 3", "'cutof' is no option of 'sdpid identify'; there is cutoff"),
-        ("zzz = 3", "there is accept, column, consistency"),
+        ("zzz = 3", "there is accept, bare, column"),
         ("config = 'x'", "'config' is no option"),
         ("prior = 'yes'", "prior: is 'yes'; give true or false"),
         ("cutoff = true", "cutoff: is True; give text or a number"),
