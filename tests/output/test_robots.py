@@ -802,7 +802,7 @@ def test_joints_and_tendons_together_are_what_joints_alone_would_be(tmp_path: Pa
         effort = model.inverse_dynamics(q, v, a)
         samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
         problem = sdpid.build_problem(ROBOT, samples, friction=terms, check_excitation=False)
-        found.append(joint_attributes(problem, theta, MJCF, "file", tendons=True))
+        found.append(joint_attributes(problem, theta, MJCF, "file", ["coupled"]))
     plain, coupled = found
     assert coupled.left_out == ()
     assert "within" in coupled.notes[0]

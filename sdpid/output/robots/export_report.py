@@ -21,6 +21,7 @@ from sdpid.output.robots.joint_friction import (
     JointAttributes,
     Kind,
     LeftOut,
+    Role,
     joint_attributes,
 )
 from sdpid.robot.friction.position import Spring
@@ -275,9 +276,8 @@ def given_up(estimate: Estimate, target: Target) -> str:
     places = PLACES if target == "urdf" else PLACES | {RotorInertia: _OF_ROTORS}
     assert estimate.theta is not None
     try:
-        friction = joint_attributes(
-            estimate.problem, estimate.theta, places, target, tendons=target == "mujoco"
-        )
+        also: tuple[Role, ...] = ("coupled",) if target == "mujoco" else ()
+        friction = joint_attributes(estimate.problem, estimate.theta, places, target, also)
     except ExportError as reason:
         return f"for {target}: {reason}"
     errors = _errors_with(estimate, friction)

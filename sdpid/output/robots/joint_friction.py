@@ -10,9 +10,9 @@ alone, such as motors of a transmission, or the one of a `Coupling`, becomes a t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -139,11 +139,7 @@ def joint_attributes(
     theta: Array,
     attributes: Mapping[Kind, str],
     what: str,
-    *,
-    tendons: bool = False,
-    offsets: bool = False,
-    bent: bool = False,
-    springs: bool = False,
+    also: Collection[Role] = (),
 ) -> JointAttributes:
     """Return identified friction as attributes of joints.
 
@@ -163,30 +159,21 @@ def joint_attributes(
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
     what : str
         Name of the written robot in messages.
-    tendons, offsets, springs : bool, optional
-        Whether the drive of two joints has a place as a tendon, a constant effort one as an
-        actuator, and springs one.
-    bent : bool, optional
-        Whether friction over position has a place as tendons.
+    also : collection of str, optional
+        What has a place too: drives of two joints as tendons (``"coupled"``), constant efforts as
+        actuators (``"offset"``), friction over position as tendons (``"bent"``), and springs and
+        what motors have that move no joint alone (``"spring"``).
 
     Raises
     ------
     ExportError
         When an identified number that is to be written is negative.
     """
-    places = Places(
-        problem,
-        theta,
-        attributes,
-        tendons=tendons,
-        offsets=offsets,
-        bent=bent,
-        springs=springs,
-    )
+    places = Places(problem, theta, attributes, also)
     values = places.at_nominal_speeds()
     notes: tuple[str, ...] = ()
-    left_out = [LeftOut(type(part.term).__name__, part.names) for part in places.lost]
-    exact = not places.curves and not places.lost and places.holds_tendons
+    left_out = [LeftOut(type(part.term).__name__, part.names) for part in places.of("lost")]
+    exact = not places.of("curve") and not places.of("lost") and places.holds_tendons
     if exact or problem.rows is None:
         places.require_nonnegative(what)
     else:
@@ -196,11 +183,11 @@ def joint_attributes(
             fit = nonnegative_fit(system.columns, system.target)
             for kind, value in zip(places.kinds, fit, strict=True):
                 values[kind][j] = value
-        left_out = list(map(rows.left_out, places.lost, rows.lost))
+        left_out = list(map(rows.left_out, places.of("lost"), rows.lost))
         notes = (rows.note(values),) if places.kinds else ()
     bends = {
         joint: each
-        for part in places.bent
+        for part in places.of("bent")
         if isinstance(part.term, PositionFriction)
         for joint, each in zip(places.joints, bent_friction(part.term, part.values), strict=True)
     }
@@ -213,14 +200,11 @@ def joint_attributes(
             f"within {bends[worst].error:.2g} N·m of the identified one (joint '{worst}')",
         )
     seats = Seats(problem.robot, places.joints)
-    seats.tendons |= {
-        name: Tendon(way, {attributes[kind]: value for kind, value in own.items()})
-        for name, (way, own) in places.tendons.items()
-    }
+    seats.tendons |= places.tendons
     for kind, numbers in values.items():
         for joint, value in zip(places.joints, numbers, strict=True):
             seats.add(joint, kind, attributes[kind], float(value))
-    for part in places.behind:
+    for part in places.of("behind"):
         assert isinstance(part.term, AtJoints)
         own = type(part.term.friction)
         assert issubclass(own, JointwiseTerm)
@@ -228,22 +212,22 @@ def joint_attributes(
             notes += ("dry friction of joints behind the transmission lacks its smooth sign",)
         for joint, value in zip(part.term.names, part.values, strict=True):
             seats.add(joint, own, attributes[own], float(value))
-    for part in places.springs:
+    for part in places.of("spring"):
         seats.add_spring(part)
-    left = [] if springs else [name for name in seats.tendons if name in places.joints]
-    if left:
-        motors = ", ".join(left)
-        notes += (f"no place for friction of motors that move joints together: {motors}",)
+    if "spring" not in also:
+        motors = {name: seats.tendons.pop(name) for name in places.joints if name in seats.tendons}
+        if left := ", ".join(name for name, each in motors.items() if each.attributes):
+            notes += (f"no place for friction of motors that move joints together: {left}",)
     return JointAttributes(
         seats.values,
         tuple(left_out),
         notes + seats.notes,
         # What a joint has beside a tendon is not its parameter.
         fitted=not exact or bool(places.tendons),
-        tendons={name: each for name, each in seats.tendons.items() if name not in left},
+        tendons=seats.tendons,
         offsets={
             joint: float(value)
-            for part in places.offsets
+            for part in places.of("offset")
             for joint, value in zip(
                 getattr(part.term, "joints", places.joints), part.values, strict=True
             )
@@ -266,20 +250,20 @@ class Seats:
     """
 
     def __init__(self, robot: RobotModel, joints: Sequence[str]) -> None:
-        self._robot, self._joints, self._seats = robot, joints, robot.seats()
+        self._robot, self._joints = robot, joints
         self.values: dict[str, dict[str, Any]] = {}
-        self.tendons: dict[str, Tendon] = {}
+        self.tendons = {
+            name: Tendon(unit, {})
+            for name, unit in zip(joints, np.eye(len(joints)), strict=True)
+            if not robot.seat(name)[0]
+        }
         self.notes: tuple[str, ...] = ()
 
     def _place(self, name: str) -> tuple[dict[str, Any], str, float]:
         """Return the attributes of a motor's or a joint's place, its joint, and its factor."""
-        if name not in self._joints:
-            return self.values.setdefault(name, {}), name, 1.0
-        if name in self._seats:
-            joint, factor = self._seats[name]
-            return self.values.setdefault(joint, {}), joint, factor
-        way = np.eye(len(self._joints))[self._joints.index(name)]
-        return self.tendons.setdefault(name, Tendon(way, {})).attributes, "", 1.0
+        joint, factor = self._robot.seat(name)
+        held = self.values.setdefault(joint, {}) if joint else self.tendons[name].attributes
+        return held, joint, factor
 
     def add(self, name: str, kind: Kind, attribute: str, value: float) -> None:
         """Add a number of a motor, or of a joint behind the transmission."""
@@ -306,6 +290,17 @@ class Seats:
         place["stiffness"] = powers if bent else powers[0]
 
 
+# What a term is in a file: an attribute of a joint's own, one of a joint behind a transmission, and
+# so on; nothing that is told, as a tilt.
+Role = Literal["held", "curve", "lost", "coupled", "offset", "bent", "behind", "spring", "told"]
+_ROLES: dict[type[FrictionTerm], Role] = {
+    **{PositionFriction: "bent", Coupling: "coupled", Spring: "spring", Tilt: "told"},
+}
+# Those that not every file has a place for, and those that have one beside the attributes.
+_ASKED = ("coupled", "offset", "bent", "spring")
+_PLACED: tuple[Role, ...] = ("coupled", "offset", "behind", "spring")
+
+
 class Part(NamedTuple):
     """A term, the names of its parameters, and their values."""
 
@@ -321,24 +316,12 @@ class Places:
     ----------
     exact : dict of term to ndarray, shape (n,)
         Terms that have an attribute, and their values, negative ones as zero.
-    curves : list of Part
-        Functions of speed that dry friction and damping stand in for.
-    lost : list of Part
-        Terms for which there is no place.
-    behind, springs : list of Part
-        Terms of joints behind a transmission, and springs, that have a place.
-    coupled : list of Part
-        Drives of two joints that become tendons.
     tendons : dict
-        These by name: factors (n,) of the coordinates, and values by kind of term.
+        Drives of two joints, by name.
     added : dict of term to ndarray, shape (n,)
         Armature and damping that they add at the joints themselves.
     holds_tendons : bool
         Whether the joints have all of that.
-    offsets : list of Part
-        Constant efforts that are written.
-    bent : list of Part
-        Friction over position that becomes tendons.
     kinds : list
         The terms whose attributes are written.
     robot : RobotModel
@@ -352,9 +335,8 @@ class Places:
         Standard parameters.
     attributes : mapping
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
-    tendons, offsets, bent, springs : bool, optional
-        Whether drives of two joints, constant efforts, friction over position and springs have a
-        place.
+    also : collection of str, optional
+        What has a place too (see `joint_attributes`).
     """
 
     def __init__(
@@ -362,59 +344,46 @@ class Places:
         problem: Problem,
         theta: Array,
         attributes: Mapping[Kind, str],
-        *,
-        tendons: bool = False,
-        offsets: bool = False,
-        bent: bool = False,
-        springs: bool = False,
+        also: Collection[Role] = (),
     ) -> None:
         model = RobotDynamics(robot=problem.robot, terms=problem.friction, theta=theta)
         # Every file has room for the direction of gravity.
         self.robot = problem.robot.with_gravity(model.tilted_gravity)
-        self.joints = problem.friction.joint_names
-        self.exact: dict[Kind, Array] = {}
-        self._held, self.curves, self.lost, self.coupled, self.offsets, self.bent = (
-            list[Part]() for _ in range(6)
-        )
-        self.behind, self.springs = list[Part](), list[Part]()
+        self.joints, self._attributes = problem.friction.joint_names, attributes
+        self._parts: dict[Role, list[Part]] = {}
         for term, own in problem.friction.placed:
+            role = _role(term, attributes)
+            if role in _ASKED and role not in also:
+                role = "curve" if role == "bent" else "lost"
             names = tuple(p.name for p in problem.friction.parameters[own])
             part = Part(term, names, theta[10 * problem.robot.n_links :][own])
-            if isinstance(term, PositionFriction):
-                (self.bent if bent else self.curves).append(part)
-            elif term.curve or (isinstance(term, Coulomb) and not _sharp(term)):
-                self.curves.append(part)
-            elif isinstance(term, JointwiseTerm) and type(term) in attributes:
-                self._held.append(part)
-                self.exact[type(term)] = np.maximum(part.values, 0.0)
-            elif isinstance(term, Coupling) and tendons:
-                self.coupled.append(part)
-            elif offsets and isinstance(_acting(term), Offset):
-                self.offsets.append(part)
-            elif isinstance(term, AtJoints) and type(term.friction) in attributes:
-                self.behind.append(part)
-            elif isinstance(term, Spring) and springs:
-                self.springs.append(part)
-            elif type(term) is not Tilt:
-                self.lost.append(part)
+            self._parts.setdefault(role, []).append(part)
+        self.exact: dict[Kind, Array] = {}
+        for part in self.of("held"):
+            assert isinstance(part.term, JointwiseTerm)
+            self.exact[type(part.term)] = np.maximum(part.values, 0.0)
         self._couple()
         if np.any(self.added[RotorInertia] > self.exact.get(RotorInertia, 0.0)):
             # Tendons that add more armature than the joints have: what is left is none.
-            self.lost, self.coupled = self.coupled + self.lost, []
+            self._parts["lost"] = [*self._parts.pop("coupled"), *self.of("lost")]
             self._couple()
         self.holds_tendons = all(
             bool(np.all(more <= self.exact.get(kind, 0.0))) for kind, more in self.added.items()
         )
-        stand_in = {Coulomb, Viscous} if self.curves or self.coupled else set()
+        stand_in = {Coulomb, Viscous} if self.of("curve") or self.of("coupled") else set()
         self.kinds = [kind for kind in attributes if kind in self.exact or kind in stand_in]
+
+    def of(self, role: Role) -> list[Part]:
+        """Return the terms of a role."""
+        return self._parts.get(role, [])
 
     def _couple(self) -> None:
         """Note the tendons of drives of two joints, and what they add at the joints."""
-        self.tendons: dict[str, tuple[Array, dict[Kind, float]]] = {}
+        self.tendons: dict[str, Tendon] = {}
         self.added: dict[Kind, Array] = {
             kind: np.zeros(len(self.joints)) for kind in (RotorInertia, Viscous)
         }
-        every = (each for p in self.coupled for each in p.term.acting(p.values, self.joints))
+        every = (x for p in self.of("coupled") for x in p.term.acting(p.values, self.joints))
         for term, places, values in every:
             kind = type(term)
             assert issubclass(kind, JointwiseTerm)
@@ -426,7 +395,8 @@ class Places:
                 elif value > 0.0:
                     numbers = "_".join(str(j + 1) for j in np.flatnonzero(way))
                     name = f"coupling_{numbers}" + ("_difference" if np.any(way < 0.0) else "")
-                    self.tendons.setdefault(name, (way, {}))[1][kind] = value
+                    held = self.tendons.setdefault(name, Tendon(way, {})).attributes
+                    held[self._attributes[kind]] = value
 
     def require_nonnegative(self, what: str) -> None:
         """Refuse identified values that have an attribute and are negative.
@@ -436,7 +406,7 @@ class Places:
         ExportError
             With the parameter, its joint and its value.
         """
-        for part in self._held:
+        for part in self.of("held"):
             parameters = part.term.parameters(self.joints)
             for joint, parameter, value in zip(self.joints, parameters, part.values, strict=True):
                 if value < -_FRICTION_ZERO:
@@ -455,11 +425,11 @@ class Places:
         from scipy.optimize import nnls
 
         found = {kind: np.zeros(len(self.joints)) for kind in self.kinds} | self.exact
-        if self.curves:
+        if self.of("curve"):
             speeds = np.linspace(-_NOMINAL, _NOMINAL, 101)
             v = np.tile(speeds[:, None], (1, len(self.joints)))
             effort = np.zeros_like(v)
-            for part in self.curves:
+            for part in self.of("curve"):
                 if isinstance(part.term, PositionFriction):
                     effort += np.sign(v) * part.values.reshape(3, -1).mean(axis=0)
                     continue
@@ -471,9 +441,21 @@ class Places:
         return {kind: np.maximum(x - self.added.get(kind, 0.0), 0.0) for kind, x in found.items()}
 
 
-def _acting(term: FrictionTerm) -> FrictionTerm:
-    """Return a term, or what acts on joints behind a transmission."""
-    return term.friction if isinstance(term, AtJoints) else term
+def _role(term: FrictionTerm, attributes: Mapping[Kind, str]) -> Role:
+    """Return what a term is in a file that has room for everything but curves of the speed."""
+    acting = term.friction if isinstance(term, AtJoints) else term
+    if isinstance(term, AtJoints) and not all(isinstance(x, str) for x in term.joints):
+        return "lost"
+    if isinstance(acting, Offset):
+        return "offset"
+    if acting is not term and type(acting) in attributes:
+        return "behind"
+    for kind, role in _ROLES.items():
+        if isinstance(term, kind):
+            return role
+    if term.curve or (isinstance(term, Coulomb) and not _sharp(term)):
+        return "curve"
+    return "held" if isinstance(term, JointwiseTerm) and type(term) in attributes else "lost"
 
 
 def _sharp(term: Coulomb) -> bool:
@@ -527,10 +509,10 @@ class MeasuredRows:
         speed = np.where(self.used, np.abs(motion.velocity), 0.0)
         self.shown = speed.max(axis=0) > _SLOW
         self._effort = samples.effort[:, self._first :]
-        self.lost = [self._of_part(part) for part in places.lost]
+        self.lost = [self._of_part(part) for part in places.of("lost")]
         # What tendons add at the joints themselves, and all that has a place of its own.
         self._added = self._of_attributes(places.added)
-        held = (*places.coupled, *places.offsets, *places.behind, *places.springs)
+        held = (part for role in _PLACED for part in places.of(role))
         self._held = sum(map(self._of_part, held), self._added)
         self._friction = self._measured_friction(theta)
 
@@ -589,7 +571,7 @@ class MeasuredRows:
         exact = self.places.exact
         changes = {kind: value - exact.get(kind, 0.0) for kind, value in values.items()}
         difference = self._added + self._of_attributes(changes)
-        rms, joint = self._largest(difference - sum(map(self._of_part, self.places.curves)))
+        rms, joint = self._largest(difference - sum(map(self._of_part, self.places.of("curve"))))
         names = " and ".join(_WORDS[kind] for kind in self.places.kinds)
         return (
             f"{names} fitted to the recordings with the identified links held: within {rms:.2g} "

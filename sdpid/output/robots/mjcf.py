@@ -18,7 +18,7 @@ from sdpid.estimation.elasticity.result import Elasticity
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.elastic_gears import add_gears
 from sdpid.output.robots.export_report import ExportReport, file_errors
-from sdpid.output.robots.joint_friction import Kind, Tendon, joint_attributes
+from sdpid.output.robots.joint_friction import Kind, Role, Tendon, joint_attributes
 from sdpid.output.robots.mjcf_skeleton import (
     add_tendon,
     inertial_values,
@@ -132,16 +132,14 @@ def write_mjcf(
     text, notes = open_source(robot, source, what)
     # MuJoCo loads no other bodies, whatever consistency the problem has.
     text.write_bodies(bodies, "pseudo_inertia")
-    friction = joint_attributes(
-        problem,
-        theta,
-        PLACES,
-        what,
-        tendons=text.ours,
-        offsets=offsets,
-        bent=tendons and text.ours,
-        springs=True,
-    )
+    also: list[Role] = ["spring"]
+    if offsets:
+        also.append("offset")
+    if text.ours:
+        also.append("coupled")
+    if text.ours and tendons:
+        also.append("bent")
+    friction = joint_attributes(problem, theta, PLACES, what, also)
     notes = friction.notes + notes
     if any(lost.term == Offset.__name__ for lost in friction.left_out):
         notes += ("offsets have a place where they are asked for: offsets=True, or --offsets",)
@@ -358,17 +356,14 @@ class Mjcf(RobotText):
         from lxml import etree
 
         robot, found, drives = self.robot, etree.Element("tendon"), []
-        seats, units = robot.seats(), np.eye(robot.n)[robot.n_base :, robot.n_base :]
-        names = robot.joint_names[robot.n_base :]
-        motors = {x: Tendon(unit, {}) for x, unit in zip(names, units, strict=True)}
-        every = {x: each for x, each in motors.items() if x not in seats} | dict(tendons)
+        motors = robot.joint_names[robot.n_base :]
         # Tendons that the source has for a motor keep their factors.
         there = {
             robot.joint_names[j]: (self.root.find(f"tendon/fixed[@name='{name}']"), gear, shift)
             for i, (j, gear, shift) in self._source.moved(robot).items()
             if (name := self._source.model.tendon(i).name)
         }
-        for name, (way, attributes) in every.items():
+        for name, (way, attributes) in tendons.items():
             tendon, gear, shift = there.get(name, (None, 1.0, 0.0))
             if tendon is None:
                 factors = tendon_factors(robot, way)
@@ -378,21 +373,20 @@ class Mjcf(RobotText):
             steep = STEEP if name in motors and given.get("frictionloss") else {}
             tendon.attrib.update({key: numbers(value) for key, value in given.items()} | steep)
         self.append("tendon", list(found))
-        places = {motor: seats.get(motor, ("", 1.0)) for motor in names}
-        moved = any(place != (motor, 1.0) for motor, place in places.items())
-        for motor, (joint, factor) in places.items() if self.ours and moved else ():
-            at = {"joint": joint, "gear": numbers(1.0 / factor)} if joint else {"tendon": motor}
-            drives.append(etree.Element("motor", name=motor, **at))
+        seats = {motor: robot.seat(motor) for motor in motors}
+        if self.ours and any(seat != (motor, 1.0) for motor, seat in seats.items()):
+            for motor, (joint, factor) in seats.items():
+                at = {"joint": joint, "gear": numbers(1.0 / factor)} if joint else {"tendon": motor}
+                drives.append(etree.Element("motor", name=motor, **at))
         self.append("actuator", drives)
 
     def write_offsets(self, offsets: Mapping[str, float]) -> None:
         """Write constant efforts: what a drive gives beside them moves the joint."""
         from lxml import etree
 
-        elements, seats = [], self.robot.seats()
+        elements = []
         for motor, value in offsets.items():
-            own = motor in self.robot.joint_names
-            joint, factor = seats.get(motor, ("", 1.0)) if own else (motor, 1.0)
+            joint, factor = self.robot.seat(motor)
             at = {"joint": joint} if joint else {"tendon": motor}
             bias = {"biastype": "affine", "biasprm": numbers([-value / factor, 0.0, 0.0])}
             elements.append(etree.Element("general", **at, gainprm="0", **bias))

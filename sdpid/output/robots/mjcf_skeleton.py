@@ -20,6 +20,7 @@ from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.xml import numbers
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.regressor_kernel import PRISMATIC
+from sdpid.robot.model.transmission import kept_in
 
 # Of two balls that stand for a pin one is this share of the robot's reach along its axis.
 _ALONG = 0.1
@@ -155,22 +156,18 @@ def _add_equalities(robot: RobotModel, root: Any) -> None:
     from lxml import etree
 
     found, tendons = etree.Element("equality"), etree.Element("tendon")
-    names, E, own = robot.tree_joints, robot.expansion, robot.independent()
-    for row in (k for k in range(len(E)) if k not in own):
-        factors = np.linalg.solve(E[own].T, E[row])
-        shift = robot.offset[row] - factors @ robot.offset[own]
-        followed = np.flatnonzero(np.abs(factors) > _ROUNDED)
-        sources = {names[own[k]]: float(factors[k]) for k in followed}
+    anchor = robot.tree_joints[next(k for k in robot.independent() if k >= robot.n_base)]
+    for factors, value, row in kept_in(robot):
+        sources = {name: -x for name, x in factors.items() if name != row}
         if len(sources) > 1:
             # A length that stays what it is; of two joints there is an equality of their own.
-            name, others = f"{names[row]}_follows", {key: -x for key, x in sources.items()}
-            add_tendon(tendons, {"name": name}, {names[row]: 1.0, **others})
-            kept = numbers([shift, 0.0, 0.0, 0.0, 0.0])
-            etree.SubElement(found, "tendon", tendon1=name, polycoef=kept)
+            add_tendon(tendons, {"name": f"{row}_follows"}, factors)
+            kept = numbers([value, 0.0, 0.0, 0.0, 0.0])
+            etree.SubElement(found, "tendon", tendon1=f"{row}_follows", polycoef=kept)
         else:
-            source, factor = next(iter(sources.items()), (names[own[0]], 0.0))
-            follows = numbers([shift, factor, 0.0, 0.0, 0.0])
-            etree.SubElement(found, "joint", joint1=names[row], joint2=source, polycoef=follows)
+            source, factor = next(iter(sources.items()), (anchor, 0.0))
+            follows = numbers([value, factor, 0.0, 0.0, 0.0])
+            etree.SubElement(found, "joint", joint1=row, joint2=source, polycoef=follows)
     if len(tendons):
         root.append(tendons)
     for loop in robot.loops:

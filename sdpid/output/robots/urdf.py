@@ -34,6 +34,7 @@ from sdpid.robot.description.urdf import (
 )
 from sdpid.robot.model.load import Root, load_robot
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.transmission import kept_in
 
 # What a joint has once; of two, readers might take either.
 _OF_JOINTS = ("origin", "axis", "limit", "dynamics", "mimic")
@@ -237,19 +238,17 @@ class Urdf(RobotText):
 
     def write_mimics(self) -> None:
         """Write which joints behind the transmission follow one other."""
-        robot, seats, count = self.robot, self.robot.seats(), len(self.robot.expansion)
-        for k in range(robot.n_base, count if robot.transmission is not None else 0):
-            row, element = robot.expansion[k], self._joints[robot.tree_joints[k]]
-            moved = np.flatnonzero(row)
+        if self.robot.transmission is None:
+            return
+        for element in self._joints.values():
             for mimic in element.findall("mimic"):
                 element.remove(mimic)
-            motor = robot.joint_names[moved[0]] if len(moved) == 1 else ""
-            source, factor = seats.get(motor, (robot.tree_joints[k], 1.0))
-            if source != robot.tree_joints[k]:
-                ratio = float(row[moved[0]]) / factor
-                shift = robot.offset[k] - ratio * robot.offset[robot.tree_joints.index(source)]
-                numbers = {"multiplier": repr(ratio), "offset": repr(float(shift))}
-                child_of(element, "mimic", last=True).attrib.update({"joint": source, **numbers})
+        for factors, value, row in kept_in(self.robot):
+            sources = {name: -x for name, x in factors.items() if name != row}
+            if len(sources) == 1:
+                ((source, ratio),) = sources.items()
+                given = {"joint": source, "multiplier": repr(ratio), "offset": repr(value)}
+                child_of(self._joints[str(row)], "mimic", last=True).attrib.update(given)
 
     def _source(self, joint: str) -> str:
         """Return the joint at the end of a chain of mimic joints."""

@@ -148,12 +148,12 @@ def drawn_attributes(
     """
     places = Places(problem, center, attributes)
     each = [Places(problem, theta, attributes) for theta in thetas]
-    if problem.rows is None or not (places.curves or places.lost):
+    if problem.rows is None or not (places.of("curve") or places.of("lost")):
         for drawn in each:
             drawn.require_nonnegative(what)
     nominal = [drawn.at_nominal_speeds() for drawn in each]
     values = {kind: np.stack([found[kind] for found in nominal]) for kind in places.kinds}
-    if problem.rows is not None and values and (places.curves or places.lost):
+    if problem.rows is not None and values and (places.of("curve") or places.of("lost")):
         rows = MeasuredRows(problem, center, places)
         friction = thetas[:, 10 * problem.robot.n_links :]
         change = friction - center[10 * problem.robot.n_links :]
@@ -191,7 +191,7 @@ def _reduced(rows: MeasuredRows, places: Places) -> dict[int, tuple[Array, Array
 
 def _kept(problem: Problem, places: Places, taken_out: Sequence[float]) -> Array:
     """Return for each friction parameter the share of its effort that attributes stand in for."""
-    shares = dict(zip((part.names for part in places.lost), taken_out, strict=True))
+    shares = dict(zip((part.names for part in places.of("lost")), taken_out, strict=True))
     joints = problem.friction.joint_names
     names = [tuple(p.name for p in term.parameters(joints)) for term in problem.friction.terms]
     return np.concatenate([np.full(len(own), 1.0 - shares.get(own, 0.0)) for own in names])

@@ -326,6 +326,10 @@ class RobotModel:
                     found[name] = joint, float(row[moved[0]])
         return found
 
+    def seat(self, name: str) -> tuple[str, float]:
+        """Return `seats` of one coordinate, ``""`` for none; a joint behind others has its own."""
+        return self.seats().get(name, ("" if name in self.joint_names else name, 1.0))
+
     def independent(self) -> list[int]:
         """Return n of Pinocchio's coordinates that the others, and the motors, follow from."""
         seats = self.seats()

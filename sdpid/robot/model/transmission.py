@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -287,6 +287,16 @@ def of_lengths(
     order = np.argsort(places, kind="stable")
     offset = whole[:, : len(kept)] @ np.array([each.value for each in kept])
     return Transmission(matrix[:, order], offset, [names[k] for k in order], tree)
+
+
+def kept_in(robot: RobotModel) -> Iterator[Kept]:
+    """Yield how joints follow those of `RobotModel.independent`, which `following` reads again."""
+    names, E, own = robot.tree_joints, robot.expansion, robot.independent()
+    for row in (k for k in range(len(E)) if k not in own):
+        factors = np.linalg.solve(E[own].T, E[row])
+        value = robot.offset[row] - factors @ robot.offset[own]
+        held = {names[own[k]]: -float(factors[k]) for k in np.flatnonzero(abs(factors) > _ROUNDED)}
+        yield Kept({**held, names[row]: 1.0}, float(value), names[row])
 
 
 def following(robot: RobotModel, kept: Sequence[Kept]) -> RobotModel:
