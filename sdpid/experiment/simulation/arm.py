@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,18 +14,16 @@ from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.experiment.simulation.kernels.links import (
     KINDS,
     LOADING,
-    PLAY,
     POINT,
     POWERS,
-    TABLE,
     TILTED,
     Robot,
     memory_for,
 )
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, PositionFriction, Tilt
-from sdpid.robot.friction.position import Hysteresis, PositionTerm, Spring, way_of
-from sdpid.robot.friction.term import simulated_curves
+from sdpid.robot.friction.position import way_of
+from sdpid.robot.friction.term import EffortCurve, simulated_curves
 from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
@@ -185,17 +182,14 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
         )
     curves: list[tuple[tuple[int, int], _Direction, tuple[float, ...]]] = []
     jumps: dict[tuple[float, ...], Array] = {}
-    pulls = list[_Pull]()
+    by_position: list[tuple[EffortCurve, _Direction, tuple[float, ...]]] = []
     for term, own in terms.placed:
-        if isinstance(term, Spring | PositionTerm | Hysteresis):
-            pulls += _pulls(term, coefficients[own], robot, names)
-            continue
         parts = [
-            (part, way_of(type(term).__name__, places[part.joint], robot, names)[0])
+            (part, *way_of(type(term).__name__, places[part.joint], robot, names))
             for acting, places, values in term.acting(coefficients[own], names)
             for part in simulated_curves(acting, values, [str(place) for place in places])
         ]
-        for part, way in parts:
+        for part, way, offset in parts:
             i = part.joint
             if not way.any():
                 continue
@@ -214,9 +208,11 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
                 ends = np.array([part.numbers[1], part.size])
                 key = (part.numbers[0], *way.tolist())
                 jumps[key] = jumps.get(key, 0.0) + ends
+            elif (kind := KINDS.index(part.kind)) >= POWERS:
+                low, *others = part.numbers
+                by_position.append((part, way, (offset - low, part.size, *others)))
             else:
-                numbers = (part.size, *part.numbers)
-                curves.append(((KINDS.index(part.kind), part.side), way, numbers))
+                curves.append(((kind, part.side), way, (part.size, *part.numbers)))
     exact = (load[:, 0] != 0.0) & (load[:, 3] == 0.0)
     speeds = np.array([key[0] for key in jumps])
     ways = [np.array(key[1:]) for key in jumps]
@@ -225,12 +221,11 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
         for speed, way in zip(speeds, ways, strict=True)
     ]
     ends = np.reshape(list(jumps.values()), (-1, 2))
-    points = [pull.points for pull in pulls]
-    begins = len(curves) + len(pulls) + np.cumsum([0, *map(len, points)])
-    for pull, begin in zip(pulls, begins.tolist(), strict=False):
-        curves.append(((pull.kind, begin), pull.way, pull.numbers))
-    for point in np.concatenate([np.zeros((0, 2)), *points]).tolist():
-        curves.append(((POINT, 0), np.zeros(n), (*point, 0.0, 0.0)))
+    begin, points = len(curves) + len(by_position), list[tuple[float, float]]()
+    for part, way, numbers in by_position:
+        curves.append(((KINDS.index(part.kind), begin + len(points)), way, numbers))
+        points += part.points
+    curves += [((POINT, 0), np.zeros(n), (*point, 0.0, 0.0)) for point in points]
     moved = [*(way for _, way, _ in curves), *ways]
     width = max([2, *(int(np.count_nonzero(way)) for way in moved)])
     which, factors = _sparse([way for _, way, _ in curves], width)
@@ -246,49 +241,6 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
         "contacts": contacts,
         "jumps": np.column_stack([speeds, ends, np.array(rubs, dtype=np.float64), shares]),
     }
-
-
-class _Pull(NamedTuple):
-    """An effort by position: its kind, direction, four numbers and table (T, 2)."""
-
-    kind: int
-    way: _Direction
-    numbers: tuple[float, ...]
-    points: Array = np.zeros((0, 2))
-
-
-def _pulls(
-    term: Spring | PositionTerm | Hysteresis,
-    values: Array,
-    robot: RobotModel,
-    names: tuple[str, ...],
-) -> Iterator[_Pull]:
-    """Yield the efforts by position of a term.
-
-    Raises
-    ------
-    ModelError
-        For a function of one's own.
-    """
-    way, shift = way_of(type(term).__name__, term.joint, robot, names)
-    if isinstance(term, Hysteresis):
-        for value, slip in zip(values.tolist(), term.slips, strict=True):
-            yield _Pull(PLAY, way, (shift, value, slip, 0.0))
-    elif isinstance(term, PositionTerm):
-        if callable(term.function):
-            raise ModelError(
-                f"simulation: PositionTerm {term.name} has a function of your own, which is not "
-                "simulated; give a table in its place."
-            )
-        table = np.array(term.function).T
-        yield _Pull(TABLE, way, (shift, float(values[0]), float(len(table)), 0.0), table)
-    elif term.rest is None:
-        yield _Pull(POWERS, way, (shift, float(values[0]), 0.0, 0.0))
-        # Stiffness times rest is a table of one point.
-        yield _Pull(TABLE, way, (shift, -float(values[1]), 1.0, 0.0), np.array([[0.0, 1.0]]))
-    else:
-        first, square, cube = (*values.tolist(), 0.0, 0.0)[:3]
-        yield _Pull(POWERS, way, (shift - term.rest, first, square, cube))
 
 
 def _sparse(ways: list[_Direction], width: int) -> tuple[Any, Array]:

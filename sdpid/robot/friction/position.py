@@ -14,6 +14,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import (
+    EffortCurve,
     FrictionTerm,
     OfMotion,
     Place,
@@ -70,6 +71,12 @@ class OneJoint(FrictionTerm):
                 f"behind the base's {pose}; give these in place of configurations."
             )
         return np.asarray(motion.along(shapes)[:, None, :] * way[:, None])
+
+    def acting(
+        self, values: Array, joint_names: Sequence[str]
+    ) -> Iterator[tuple[FrictionTerm, Sequence[Place], Array]]:
+        """Yield itself, on its joint."""
+        yield self, (self.joint,), values
 
     @abstractmethod
     def _shapes(self, position: Array) -> Array:
@@ -158,6 +165,15 @@ class Spring(OneJoint):
             return np.asarray((position - self.rest)[:, None] ** powers)
         return np.stack([position, -np.ones_like(position)], axis=1)
 
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield powers of the position, and a constant where the rest is not known."""
+        first, second, third = (*values.tolist(), 0.0, 0.0)[:3]
+        if self.rest is None:
+            yield EffortCurve("powers", 0, first, (0.0, 0.0, 0.0))
+            yield EffortCurve("constant", 0, -second)
+        else:
+            yield EffortCurve("powers", 0, first, (self.rest, second, third))
+
 
 @dataclass(frozen=True)
 class PositionTerm(OneJoint):
@@ -242,6 +258,22 @@ class PositionTerm(OneJoint):
             )
         return shapes.reshape(len(position), -1)
 
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the table.
+
+        Raises
+        ------
+        ModelError
+            For a function of one's own.
+        """
+        if callable(self.function):
+            raise ModelError(
+                f"simulation: PositionTerm {self.name} has a function of your own, which is not "
+                "simulated; give a table in its place."
+            )
+        points = tuple(zip(*self.function, strict=True))
+        yield EffortCurve("table", 0, float(values[0]), (0.0, len(points), 0.0), points=points)
+
 
 @dataclass(frozen=True)
 class Hysteresis(OneJoint):
@@ -277,6 +309,11 @@ class Hysteresis(OneJoint):
 
     def _shapes(self, position: Array) -> Array:
         return np.stack([(position - play(position, s)) / s for s in self.slips], axis=1)
+
+    def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
+        """Yield the elements."""
+        for value, slip in zip(values.tolist(), self.slips, strict=True):
+            yield EffortCurve("play", 0, value, (0.0, slip, 0.0))
 
 
 def play(position: Array, slip: float) -> Array:

@@ -160,7 +160,10 @@ class EffortCurve(NamedTuple):
         the velocity `numbers[0]`, from `numbers[1]` to `size`. ``"load"``: `size` times the load
         and a sign, with share and speed of a sigmoid and the width of the sign. ``"position"``: a
         sign of the width `size` times a parabola with the control values `numbers`, ``"range"``:
-        over positions from ``numbers[0]`` to ``numbers[1]``. Smooth curves
+        over positions from ``numbers[0]`` to ``numbers[1]``. Of the position less ``numbers[0]``:
+        ``"powers"``: the first one times `size`, square and cube; ``"table"``: `size` times that of
+        the points, whose count is ``numbers[1]``; ``"play"``: of an element that slips after
+        ``numbers[1]``. Smooth curves
         without jumps, where s is the speed: ``"tanh"``: ``tanh(s/w)`` beyond a dead zone (1, dead
         zone, w); ``"root"``: √s; ``"peak"``: ``exp(−(s/a)^b) − 1`` (a, b, 1); ``"smooth_peak"``:
         ``exp(−(s/a)^b)·tanh(s/w)`` (a, b, w); ``"line"``: a slope between two speeds (1, from, to).
@@ -172,6 +175,8 @@ class EffortCurve(NamedTuple):
         By kind.
     side : int
         1 or -1 where it acts at velocities of one sign only, 0 for both.
+    points : tuple
+        Positions and efforts of a table.
     """
 
     kind: str
@@ -179,6 +184,7 @@ class EffortCurve(NamedTuple):
     size: float
     numbers: tuple[float, float, float] = (1.0, 1.0, 1.0)
     side: int = 0
+    points: tuple[tuple[float, float], ...] = ()
 
 
 def sign_curves(

@@ -39,11 +39,9 @@ VECTORS, MATRICES = 23, 6
 
 PRISMATIC = 1
 
-# Kinds of smooth curves, as terms name them.
-KINDS = ("tanh", "root", "peak", "smooth_peak", "line")
-TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE = range(5)
-# Efforts by position: powers of it, tables, elements that slip, and the points of tables.
-POWERS, TABLE, PLAY, POINT = range(5, 9)
+# Kinds of smooth curves, as terms name them, and of efforts by position; then the points of tables.
+KINDS = ("tanh", "root", "peak", "smooth_peak", "line", "powers", "table", "play")
+TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE, POWERS, TABLE, PLAY, POINT = range(9)
 
 # Where the coordinates that move a link begin among its whole numbers, and their factors among its
 # others; those of curves and jumps of friction; -1 is no coordinate.
