@@ -83,8 +83,8 @@ class SimulatedArm:
         friction = _friction(robot, terms, coefficients)
         column = np.where(tree.factor[own_v] != 0.0, tree.column[own_v], -1)
         arrays = Robot(
-            tree=_packed(np.vstack([tree.kind, tree.parent, column.T])),
-            angles=_packed(np.vstack([np.asarray(robot.offset)[own_v], tree.factor[own_v].T])),
+            tree=_packed(np.column_stack([tree.kind, tree.parent, column])),
+            angles=_packed(np.column_stack([np.asarray(robot.offset)[own_v], tree.factor[own_v]])),
             turn=_packed(tree.turn),
             place=_packed(np.concatenate([tree.place, tree.axis[:, None]], axis=1)),
             bodies=_packed(packs),

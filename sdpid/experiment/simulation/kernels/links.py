@@ -43,9 +43,9 @@ PRISMATIC = 1
 KINDS = ("tanh", "root", "peak", "smooth_peak", "line", "powers", "table", "play")
 TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE, POWERS, TABLE, PLAY, POINT = range(9)
 
-# Where the coordinates that move a link begin among its whole numbers, and their factors among its
-# others; those of curves and jumps of friction; -1 is no coordinate.
-COLUMN, FACTOR, OF_CURVE, OF_JUMP = 2, 1, 4, 4
+# Where the coordinates that move a link, or that a curve of friction follows, begin among its whole
+# numbers, -1 for none; and their factors among the others of links, curves and jumps.
+COLUMN, OF_LINK, OF_CURVE, OF_JUMP = 2, 1, 4, 4
 
 # Where a body's ten numbers have its inertia matrix.
 PACKED = ((4, 5, 7), (5, 6, 8), (7, 8, 9))
@@ -56,9 +56,9 @@ class Robot(NamedTuple):
 
     Attributes
     ----------
-    tree : ndarray of int, shape (2 + w, L)
+    tree : ndarray of int, shape (L, 2 + w)
         Kind and parent of each link, and the coordinates that move it, -1 for none.
-    angles : ndarray, shape (1 + w, L)
+    angles : ndarray, shape (L, 1 + w)
         Its joint's angle where these are zero, and their factors in it.
     turn : ndarray, shape (L, 3, 3, 3)
         What the rotation is made of: cosine, sine, constant.
@@ -150,7 +150,7 @@ class Memory(NamedTuple):
 
 def memory_for(robot: Robot, *others: Robot) -> Memory:
     """Return memory for a robot that no controller damps; others have as many joints."""
-    L = max(each.tree.shape[1] for each in (robot, *others))
+    L = max(len(each.tree) for each in (robot, *others))
     J = max(len(each.contacts) for each in (robot, *others))
     n = len(robot.constant)
     memory = Memory(
@@ -191,8 +191,8 @@ def momentum_of(body: Array, x: Array, out: Array) -> None:
 def place_link(robot: Any, i: int, x: float, memory: Any, s: Array) -> None:
     """Write rotation and origin of a link whose joint is at x, and the joint's axis."""
     R, P, T = memory.rotations, memory.places, memory.scratch
-    turn, place, p = robot.turn[i], robot.place[i], robot.tree[1, i] + 1
-    slides = robot.tree[0, i] == PRISMATIC
+    turn, place, p = robot.turn[i], robot.place[i], robot.tree[i, 1] + 1
+    slides = robot.tree[i, 0] == PRISMATIC
     cosine, sine, shift = math.cos(x), math.sin(x), 0.0
     if slides:
         cosine, sine, shift = 0.0, 0.0, x
@@ -239,8 +239,7 @@ def place_body(body: Array, R: Array, P: Array, T: Array, out: Array) -> None:
 
 def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, h: Array) -> None:
     """Write the mass matrix and the bias of some bodies: Coriolis, centrifugal, gravity."""
-    parent, column = robot.tree[1], robot.tree[COLUMN:]
-    factor, width = robot.angles[FACTOR:], len(robot.tree) - COLUMN
+    tree, angles = robot.tree, robot.angles
     R, P, C, force = memory.rotations, memory.places, memory.bodies, memory.force
     S, V, A, F = memory.links[0], memory.links[1], memory.links[2], memory.links[3]
     tilted = robot.tilted and which == OWN
@@ -252,14 +251,10 @@ def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, 
         R[0, k, k], A[0, 3 + k] = 1.0, -robot.gravity[which, k]
         # The base has no joint and no body: their rows have those of a tilt.
         S[0, 3 + k] = -robot.gravity[TILTED, k]
-    for i in range(len(parent)):
-        p, own = parent[i] + 1, i + 1
-        angle, speed = robot.angles[0, i], 0.0
-        for w in range(width):
-            if column[w, i] < 0:
-                break
-            angle += factor[w, i] * q[column[w, i]]
-            speed += factor[w, i] * v[column[w, i]]
+    for i in range(len(tree)):
+        p, own = tree[i, 1] + 1, i + 1
+        angle = angles[i, 0] + along(tree, COLUMN, angles, OF_LINK, i, q)
+        speed = along(tree, COLUMN, angles, OF_LINK, i, v)
         place_link(robot, i, angle, memory, S[own])
         place_body(robot.bodies[which, i], R[own], P[own], memory.scratch, C[own])
         for k in range(6):
@@ -282,59 +277,64 @@ def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, 
             momentum_of(C[0], S[0], force)
             for k in range(6):
                 F[own, k] += force[k]
-    for own in range(len(parent), 0, -1):
-        p, needed, mass = parent[own - 1] + 1, 0.0, 0.0
+    for own in range(len(tree), 0, -1):
+        p, needed, mass = tree[own - 1, 1] + 1, 0.0, 0.0
         # What accelerates all that hangs on this joint.
         momentum_of(C[own], S[own], force)
         for k in range(6):
             needed += S[own, k] * F[own, k]
             mass += S[own, k] * force[k]
             F[p, k] += F[own, k]
-        for w in range(width):
-            if column[w, own - 1] < 0:
-                break
-            h[column[w, own - 1]] += factor[w, own - 1] * needed
-        add_masses(column, factor, own - 1, own - 1, mass, M)
+        add_along(tree, COLUMN, angles, OF_LINK, own - 1, needed, h)
+        add_masses(tree, angles, own - 1, own - 1, mass, M)
         for k in range(10):
             C[p, k] += C[own, k]
         while p > 0:
             mass = 0.0
             for k in range(6):
                 mass += S[p, k] * force[k]
-            add_masses(column, factor, own - 1, p - 1, mass, M)
-            add_masses(column, factor, p - 1, own - 1, mass, M)
-            p = parent[p - 1] + 1
+            add_masses(tree, angles, own - 1, p - 1, mass, M)
+            add_masses(tree, angles, p - 1, own - 1, mass, M)
+            p = tree[p - 1, 1] + 1
 
 
-def add_masses(column: Any, factor: Array, i: int, j: int, mass: float, M: Array) -> None:
-    """Add the mass by which the joint of link j feels that of link i accelerate."""
-    for w in range(len(column)):
-        if column[w, i] < 0:
+def along(columns: Array, at: int, factors: Array, of: int, k: int, x: Array) -> Any:
+    """Return the sum of some coordinates of x times factors."""
+    total = 0.0
+    for w in range(columns.shape[1] - at):
+        if columns[k, at + w] < 0:
             break
-        for u in range(len(column)):
-            if column[u, j] < 0:
-                break
-            M[column[w, i], column[u, j]] += factor[w, i] * factor[u, j] * mass
+        total += factors[k, of + w] * x[columns[k, at + w]]
+    return total
+
+
+def add_along(
+    columns: Array, at: int, factors: Array, of: int, k: int, value: float, out: Array
+) -> None:
+    """Add an effort along such a sum to those of its coordinates."""
+    for w in range(columns.shape[1] - at):
+        if columns[k, at + w] < 0:
+            break
+        out[columns[k, at + w]] += factors[k, of + w] * value
+
+
+def add_masses(tree: Array, angles: Array, i: int, j: int, mass: float, M: Array) -> None:
+    """Add the mass by which the joint of link j feels that of link i accelerate."""
+    for w in range(tree.shape[1] - COLUMN):
+        if tree[i, COLUMN + w] < 0:
+            break
+        own = angles[i, OF_LINK + w] * mass
+        add_along(tree, COLUMN, angles, OF_LINK, j, own, M[tree[i, COLUMN + w]])
 
 
 def pulled_at(robot: Any, p: int, q: Array) -> Any:
     """Return the position that an effort depends on, from where it is zero or at rest."""
-    which, curves = robot.which, robot.curves
-    x = curves[p, 0]
-    for w in range(which.shape[1] - 2):
-        if which[p, 2 + w] < 0:
-            break
-        x += curves[p, OF_CURVE + w] * q[which[p, 2 + w]]
-    return x
+    return robot.curves[p, 0] + along(robot.which, COLUMN, robot.curves, OF_CURVE, p, q)
 
 
 def add_pull(robot: Any, p: int, effort: float, out: Array) -> None:
-    """Add an effort by position to those of the coordinates."""
-    which, curves = robot.which, robot.curves
-    for w in range(which.shape[1] - 2):
-        if which[p, 2 + w] < 0:
-            break
-        out[which[p, 2 + w]] += curves[p, OF_CURVE + w] * effort
+    """Add an effort of a curve to those of the coordinates."""
+    add_along(robot.which, COLUMN, robot.curves, OF_CURVE, p, effort, out)
 
 
 def pull_at(robot: Any, p: int, x: float) -> Any:
@@ -428,7 +428,7 @@ def curve_at(kind: int, side: int, c: float, a: float, b: float, w: float, x: fl
 def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
     """Write the smooth part of friction and its slopes; viscous friction is not in it."""
     which, curves, load = robot.which, robot.curves, robot.load
-    n, width = len(v), robot.which.shape[1] - 2
+    n = len(v)
     for i in range(n):
         F[i] = 0.0
         for j in range(n):
@@ -436,20 +436,15 @@ def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
     for p in range(len(which)):
         if which[p, 0] >= POWERS:
             break
-        x, count = 0.0, 0
-        for w in range(width):
-            if which[p, 2 + w] < 0:
-                break
-            x += curves[p, OF_CURVE + w] * v[which[p, 2 + w]]
-            count += 1
+        x = along(which, COLUMN, curves, OF_CURVE, p, v)
         value, slope = curve_at(
             which[p, 0], which[p, 1], curves[p, 0], curves[p, 1], curves[p, 2], curves[p, 3], x
         )
-        for w in range(count):
-            j = which[p, 2 + w]
-            F[j] += curves[p, OF_CURVE + w] * value
-            for u in range(count):
-                S[j, which[p, 2 + u]] += curves[p, OF_CURVE + w] * curves[p, OF_CURVE + u] * slope
+        add_pull(robot, p, value, F)
+        for w in range(which.shape[1] - COLUMN):
+            if which[p, COLUMN + w] < 0:
+                break
+            add_pull(robot, p, curves[p, OF_CURVE + w] * slope, S[which[p, COLUMN + w]])
     if robot.loaded or robot.bent:
         for j in range(n):
             size, share = load[j, 0] * carried[j], load[j, 1]

@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.kernels import links as slot
-from sdpid.experiment.simulation.kernels.links import bounds_at, dynamics_at, smooth_at
+from sdpid.experiment.simulation.kernels.links import add_along, bounds_at, dynamics_at, smooth_at
 from sdpid.experiment.simulation.kernels.solve import (
     LOAD_ROUNDS,
     carry_load,
@@ -59,9 +59,7 @@ def law_at(law: Any, memory: Any, desired: Array, integral: Array) -> None:
             force = 0.5 * (1.0 + sign) * model.jumps[k, 2] + 0.5 * (1.0 - sign) * model.jumps[k, 1]
             if model.bent and model.jumps[k, 3] > 0.0:
                 force += sign * carried[model.contacts[k, 0]]
-            for w in range(model.contacts.shape[1]):
-                if model.contacts[k, w] >= 0:
-                    effort[model.contacts[k, w]] += model.jumps[k, slot.OF_JUMP + w] * force
+            add_along(model.contacts, 0, model.jumps, slot.OF_JUMP, k, force, effort)
     for i in range(n):
         total, limit = effort[i], gains[4, i]
         for j in range(n):

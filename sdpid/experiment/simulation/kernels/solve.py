@@ -15,7 +15,13 @@ from typing import Any
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.kernels import links as slot
-from sdpid.experiment.simulation.kernels.links import add_plays, bounds_at, dynamics_at, smooth_at
+from sdpid.experiment.simulation.kernels.links import (
+    add_plays,
+    along,
+    bounds_at,
+    dynamics_at,
+    smooth_at,
+)
 
 # No joint of a working robot moves this fast (rad/s or m/s): what does has diverged.
 RUNAWAY = 1e3
@@ -104,12 +110,7 @@ def carry_load(robot: Any, memory: Any, a: Array) -> None:
 
 def speed_at(robot: Any, k: int, v: Array) -> Any:
     """Return the velocity of a contact, from its joints' own."""
-    speed = 0.0
-    for w in range(robot.contacts.shape[1]):
-        if robot.contacts[k, w] < 0:
-            break
-        speed += robot.jumps[k, slot.OF_JUMP + w] * v[robot.contacts[k, w]]
-    return speed
+    return along(robot.contacts, 0, robot.jumps, slot.OF_JUMP, k, v)
 
 
 def change_over(robot: Any, v: Array, dt: float, memory: Any) -> None:
