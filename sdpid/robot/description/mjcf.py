@@ -352,7 +352,13 @@ class MjcfModel:
         return [name for i, name in enumerate(self.names) if i not in moved]
 
     def motors(self) -> dict[str, dict[str, float]]:
-        """Return factors by joint of the fixed tendons that actuators pull, by these, gears in."""
+        """Return factors by joint of the fixed tendons that actuators pull, by these, gears in.
+
+        Raises
+        ------
+        ModelError
+            When there are none.
+        """
         model, found = self.model, dict[str, dict[str, float]]()
         of_tendons = model.actuator_trntype == int(self.kinds.mjtTrn.mjTRN_TENDON)
         for i in np.flatnonzero(of_tendons & (model.actuator_gainprm[:, 0] != 0.0)).tolist():
@@ -360,6 +366,10 @@ class MjcfModel:
             if self._of_joints(tendon):
                 name = model.actuator(i).name or f"motor_{i + 1}"
                 found[name] = {joint: gear * x for joint, x in self._factors(tendon).items()}
+        if not found:
+            raise ModelError(
+                f"{self.what}: no motor pulls at a fixed tendon; give transmission= as numbers."
+            )
         return found
 
     def _of_joints(self, tendon: int) -> bool:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -90,10 +89,14 @@ def load_robot(
     """
     if root not in (None, "free_flyer"):
         raise ModelError(f"root is {root!r}; use None or 'free_flyer'.")
+    described = isinstance(transmission, str) and transmission == DESCRIBED
     if not isinstance(source, (str, os.PathLike)):
         if root is not None:
             raise ModelError("root: a pinocchio.Model already has its root; leave it out.")
-        return _behind(RobotModel.from_pinocchio(source, gravity=gravity), transmission)
+        robot = RobotModel.from_pinocchio(source, gravity=gravity)
+        if described:
+            raise ModelError(f"transmission: '{robot.name}' is no URDF and no MJCF; give numbers.")
+        return _behind(robot, transmission)
     found, default_gravity = _find(source)
     if gravity is None:
         gravity = default_gravity
@@ -122,21 +125,21 @@ def load_robot(
         # Joints that no actuator moves have none at all in most files: a loop tells that they
         # matter. Where the file's joints are zero its loops are closed.
         passive = {name: 0.0 for name in mjcf.passive() if loops and name in robot.joint_names}
-        own = partial(_of_mjcf, plain, mjcf, found.what)
+        if described:
+            transmission = of_lengths(plain, mjcf.kept, mjcf.motors())
     else:
-        model, kept, described = pinocchio_from_urdf(
-            found.text, found.what, floating=root is not None
-        )
-        facts["loops"] = add_loops(model, urdf_closures(described, found.what), found.what)
+        model, kept, tree = pinocchio_from_urdf(found.text, found.what, floating=root is not None)
+        facts["loops"] = add_loops(model, urdf_closures(tree, found.what), found.what)
         plain = RobotModel.from_pinocchio(model, gravity=gravity, urdf=found.text)
         robot = following(plain, kept)
-        passive = urdf_passive(described, found.what)
-        own = partial(of_elements, described, found.what)
-    found_robot = replace(robot, **facts, passive=tuple(passive), assembled=tuple(passive.values()))
+        passive = urdf_passive(tree, found.what)
+        if described:
+            transmission = of_elements(tree, found.what)
+    robot = replace(robot, **facts, passive=tuple(passive), assembled=tuple(passive.values()))
     if transmission is None and found.path is not None:
         beside = found.path.with_name(f"{found.path.stem}{_BESIDE}")
         transmission = beside if beside.is_file() else None
-    moved = _behind(found_robot, transmission, own)
+    moved = _behind(robot, transmission)
     if mjcf is None:
         return moved
     for lengths, value, follower in mjcf.kept:
@@ -149,25 +152,9 @@ def load_robot(
     return replace(moved, springs=tuple(mjcf.springs(moved)), forces=tuple(mjcf.forces(moved)))
 
 
-def _behind(
-    robot: RobotModel, transmission: Any, own: Callable[[], Transmission] | None = None
-) -> RobotModel:
-    """Return a robot behind a transmission, if there is one: perhaps its description's `own`."""
-    if isinstance(transmission, str) and transmission == DESCRIBED:
-        if own is None:
-            raise ModelError(f"transmission: '{robot.name}' is no URDF and no MJCF; give numbers.")
-        transmission = own()
+def _behind(robot: RobotModel, transmission: Any) -> RobotModel:
+    """Return a robot behind a transmission, if there is one."""
     return robot if transmission is None else Transmission.of(transmission).applied(robot)
-
-
-def _of_mjcf(robot: RobotModel, mjcf: Any, what: str) -> Transmission:
-    """Return how joints follow the motors that pull at tendons, and one another."""
-    pulled = mjcf.motors()
-    if not pulled:
-        raise ModelError(
-            f"{what}: no motor pulls at a fixed tendon; give transmission= as numbers."
-        )
-    return of_lengths(robot, mjcf.kept, pulled)
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:
