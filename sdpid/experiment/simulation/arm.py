@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,10 +163,6 @@ class SimulatedArm:
         return np.require(array, np.float64, _COMPILED_FOR)
 
 
-# What moves something, and by which factors, one for each coordinate of the robot.
-_Direction: TypeAlias = Array
-
-
 def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> dict[str, Array]:
     """Return what terms say of their simulation, gathered in the arrays of a `Robot`.
 
@@ -180,9 +176,9 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
             "simulation: friction of the load and over position together are not simulated; "
             "identify with one of them."
         )
-    curves: list[tuple[tuple[int, int], _Direction, tuple[float, ...]]] = []
+    curves: list[tuple[tuple[int, int], Array, tuple[float, ...]]] = []
     jumps: dict[tuple[float, ...], Array] = {}
-    by_position: list[tuple[EffortCurve, _Direction, tuple[float, ...]]] = []
+    by_position: list[tuple[EffortCurve, Array, tuple[float, ...]]] = []
     for term, own in terms.placed:
         parts = [
             (part, *way_of(type(term).__name__, places[part.joint], robot, names))
@@ -243,7 +239,7 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
     }
 
 
-def _sparse(ways: list[_Direction], width: int) -> tuple[Any, Array]:
+def _sparse(ways: list[Array], width: int) -> tuple[Any, Array]:
     """Return coordinates, -1 for none, and factors of directions, (m, width) each."""
     columns, factors = -np.ones((len(ways), width), dtype=np.int64), np.zeros((len(ways), width))
     for k, way in enumerate(ways):

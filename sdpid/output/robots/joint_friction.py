@@ -51,6 +51,10 @@ _NOMINAL = 1.0
 # smooth sign: damping fitted there could be anything.
 _SLOW = 10.0 * SMOOTH
 
+# What dry friction is called: at a position that moves faster by a factor it is less by that, all
+# else by its square.
+_DRY = ("friction", "frictionloss")
+
 # In place of efforts that are all zero, N·m.
 _TINY = 1e-300
 
@@ -200,10 +204,9 @@ def joint_attributes(
             f"within {bends[worst].error:.2g} N·m of the identified one (joint '{worst}')",
         )
     seats = Seats(problem.robot, places.joints)
-    seats.tendons |= places.tendons
     for kind, numbers in values.items():
         for joint, value in zip(places.joints, numbers, strict=True):
-            seats.add(joint, kind, attributes[kind], float(value))
+            seats.add(joint, attributes[kind], float(value))
     for part in places.of("behind"):
         assert isinstance(part.term, AtJoints)
         own = type(part.term.friction)
@@ -211,20 +214,21 @@ def joint_attributes(
         if isinstance(part.term.friction, Coulomb) and not _sharp(part.term.friction):
             notes += ("dry friction of joints behind the transmission lacks its smooth sign",)
         for joint, value in zip(part.term.names, part.values, strict=True):
-            seats.add(joint, own, attributes[own], float(value))
+            seats.add(joint, attributes[own], float(value))
     for part in places.of("spring"):
         seats.add_spring(part)
+    motors = seats.tendons()
     if "spring" not in also:
-        motors = {name: seats.tendons.pop(name) for name in places.joints if name in seats.tendons}
         if left := ", ".join(name for name, each in motors.items() if each.attributes):
             notes += (f"no place for friction of motors that move joints together: {left}",)
+        motors = {}
     return JointAttributes(
-        seats.values,
+        seats.values(),
         tuple(left_out),
         notes + seats.notes,
         # What a joint has beside a tendon is not its parameter.
         fitted=not exact or bool(places.tendons),
-        tendons=seats.tendons,
+        tendons=motors | places.tendons,
         offsets={
             joint: float(value)
             for part in places.of("offset")
@@ -237,57 +241,60 @@ def joint_attributes(
 
 
 class Seats:
-    """Attributes of joints, and of motors that move no joint alone.
-
-    Attributes
-    ----------
-    values : dict
-        Attributes and their numbers by joint.
-    tendons : dict
-        Motors that move no joint alone, by name.
-    notes : tuple of str
-        What has no place.
-    """
+    """Attributes of motors and joints, each about its own position, and where they are written."""
 
     def __init__(self, robot: RobotModel, joints: Sequence[str]) -> None:
         self._robot, self._joints = robot, joints
-        self.values: dict[str, dict[str, Any]] = {}
-        self.tendons = {
-            name: Tendon(unit, {})
-            for name, unit in zip(joints, np.eye(len(joints)), strict=True)
-            if not robot.seat(name)[0]
-        }
+        self._held: dict[str, dict[str, Any]] = {}
         self.notes: tuple[str, ...] = ()
 
-    def _place(self, name: str) -> tuple[dict[str, Any], str, float]:
-        """Return the attributes of a motor's or a joint's place, its joint, and its factor."""
-        joint, factor = self._robot.seat(name)
-        held = self.values.setdefault(joint, {}) if joint else self.tendons[name].attributes
-        return held, joint, factor
-
-    def add(self, name: str, kind: Kind, attribute: str, value: float) -> None:
+    def add(self, name: str, attribute: str, value: float) -> None:
         """Add a number of a motor, or of a joint behind the transmission."""
-        place, _, factor = self._place(name)
-        share = value / (abs(factor) if kind is Coulomb else factor**2)
-        place[attribute] = place.get(attribute, 0.0) + share
+        held = self._held.setdefault(name, {})
+        held[attribute] = held.get(attribute, 0.0) + value
 
     def add_spring(self, part: Part) -> None:
         """Add a spring, whose effort is a polynomial of the position less its rest."""
         term = part.term
         assert isinstance(term, Spring)
-        place, joint, factor = self._place(term.joint)
-        stiffness = float(part.values[0])
-        rest = term.rest if term.rest is not None else part.values[1] / (stiffness or 1.0)
+        stiffness, *others = part.values.tolist()
+        rest = term.rest if term.rest is not None else others[0] / (stiffness or 1.0)
         if stiffness <= _FRICTION_ZERO:
             self.notes += (f"no place for the spring of {term.joint}: its stiffness is zero",)
             return
-        robot, shift = self._robot, 0.0
-        if joint and term.joint in self._joints:
-            shift = float(robot.offset[robot.tree_joints.index(joint)])
-        place["springref" if joint else "springlength"] = factor * rest + shift
-        bent = part.values.tolist()[1:] if term.polynomial else []
-        powers = [value / factor ** (k + 2) for k, value in enumerate([stiffness, *bent])]
-        place["stiffness"] = powers if bent else powers[0]
+        powers = [stiffness, *others] if term.polynomial else stiffness
+        self._held.setdefault(term.joint, {}).update(stiffness=powers, springref=rest)
+
+    def values(self) -> dict[str, dict[str, Any]]:
+        """Return what joints have: their own, and that of motors that move them alone."""
+        found: dict[str, dict[str, Any]] = {}
+        for name, attributes in self._held.items():
+            joint, factor = self._robot.seat(name)
+            shift = self._robot.way({joint: 1.0})[1] if joint and name in self._joints else 0.0
+            place = found.setdefault(joint, {}) if joint else {}
+            for key, value in of_position(attributes, factor, shift).items():
+                place[key] = value + place[key] if key in place else value
+        return found
+
+    def tendons(self) -> dict[str, Tendon]:
+        """Return the motors that move no joint alone, and what they have."""
+        units = zip(self._joints, np.eye(len(self._joints)), strict=True)
+        alone = {name: unit for name, unit in units if not self._robot.seat(name)[0]}
+        return {name: Tendon(unit, self._held.get(name, {})) for name, unit in alone.items()}
+
+
+def of_position(attributes: Mapping[str, Any], factor: float, shift: float) -> dict[str, Any]:
+    """Return the attributes of ``factor·x + shift``, given those of a position x."""
+    found = dict(attributes)
+    for key, value in attributes.items():
+        if key == "springref":
+            found[key] = factor * value + shift
+            continue
+        powers = np.atleast_1d(value)
+        scaled = powers / np.abs(factor) ** (1 if key in _DRY else 2)
+        scaled = scaled / factor ** np.arange(len(powers))
+        found[key] = scaled.tolist() if len(powers) > 1 else float(scaled[0])
+    return found
 
 
 # What a term is in a file: an attribute of a joint's own, one of a joint behind a transmission, and

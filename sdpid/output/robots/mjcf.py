@@ -18,7 +18,7 @@ from sdpid.estimation.elasticity.result import Elasticity
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.elastic_gears import add_gears
 from sdpid.output.robots.export_report import ExportReport, file_errors
-from sdpid.output.robots.joint_friction import Kind, Role, Tendon, joint_attributes
+from sdpid.output.robots.joint_friction import Kind, Role, Tendon, joint_attributes, of_position
 from sdpid.output.robots.mjcf_skeleton import (
     add_tendon,
     inertial_values,
@@ -369,7 +369,9 @@ class Mjcf(RobotText):
                 factors = tendon_factors(robot, way)
                 tendon, shift = add_tendon(found, {"name": name}, factors), robot.way(factors)[1]
                 gear = 1.0
-            given = in_lengths(attributes, gear, shift)
+            given = of_position(attributes, gear, shift)
+            if "springref" in given:
+                given["springlength"] = given.pop("springref")
             steep = STEEP if name in motors and given.get("frictionloss") else {}
             tendon.attrib.update({key: numbers(value) for key, value in given.items()} | steep)
         self.append("tendon", list(found))
@@ -463,16 +465,3 @@ def _nested(element: Any) -> Iterator[Any]:
     for body in _own(element, "body"):
         yield body
         yield from _nested(body)
-
-
-def in_lengths(values: Mapping[str, Any], gear: float, shift: float) -> dict[str, Any]:
-    """Return a motor's attributes as those of a tendon of length ``gear·position + shift``."""
-    found = dict(values)
-    for key in values.keys() - {"springlength"}:
-        powers = np.atleast_1d(values[key])
-        least = 1 if key == "frictionloss" else 2
-        scaled = powers / np.abs(gear) ** least / gear ** np.arange(len(powers))
-        found[key] = scaled.tolist() if len(powers) > 1 else float(scaled[0])
-    if "springlength" in values:
-        found["springlength"] = gear * values["springlength"] + shift
-    return found
