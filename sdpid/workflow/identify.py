@@ -28,7 +28,7 @@ from sdpid.estimation.effects.kinds import Effects
 from sdpid.estimation.elasticity.identify import identify_elasticity
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.motion_noise import landings_used, with_motion_bias
-from sdpid.estimation.positions.law_fit import Target, first_law, fit_law, too_heavy
+from sdpid.estimation.positions.law_fit import Target, first_law, fit_law
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -319,23 +319,18 @@ def _under_law(
             "held: hang the robot up, and leave the base's columns out."
         )
     law = law.of_joints(model.n)
-    matched = [match_joints(model, each) for each in logs]
-    fresh = []
-    if validation is not None:
-        fresh = [
-            match_joints(model, each) for each in read_logs(model, validation, "validation")[1]
-        ]
+    others = () if validation is None else read_logs(model, validation, "validation")[1]
+    matched, fresh = ([match_joints(model, x) for x in each] for each in (logs, others))
     delay = USUAL_DELAY if law.delay is None else law.delay
     first, notes = first_law(matched, law, model, delay)
     made, seen = ([with_efforts_of_law(x, first, delay) for x in each] for each in (matched, fresh))
     prepared = formulation.prepare(model, made, **options)
-    told = tuple(each for each in prepared.findings if each.kind != _NOT_OF_LAW)
-    prepared = replace(prepared, findings=told)
-    others = prepared.others(seen, accept=options["accept"]) if seen else None
+    kept = tuple(each for each in prepared.findings if each.kind != _NOT_OF_LAW)
+    prepared = replace(prepared, findings=kept)
     result = _solved(
         formulation.problem(prepared),
         replace(prepared, logs=tuple(logs)),
-        others,
+        prepared.others(seen, accept=options["accept"]) if seen else None,
         intervals,
         measured=False,
     )
@@ -343,9 +338,6 @@ def _under_law(
         drives = fit_law(
             result.estimate, matched, law, target=target, start=first, validation=fresh
         )
-        if law.kp is not None:
-            heavy = too_heavy(matched, law, model, drives.delay)
-            drives = replace(drives, warnings=(*drives.warnings, *heavy))
     return replace(
         result,
         drives=drives,

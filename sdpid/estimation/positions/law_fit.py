@@ -507,7 +507,10 @@ def fit_law(
         along=_along(fit, fixed, where),
         convex=estimate,
         notes=tuple(dict.fromkeys(each.commands.note for each in followed)),
-        warnings=tuple(_contradictions(fitted, fit, law, problem.robot.joint_names)),
+        warnings=(
+            *_contradictions(fitted, fit, law, problem.robot.joint_names),
+            *_too_heavy(logs, law, problem.robot, fit.drives.delay),
+        ),
         validated=judged(SolvedRollouts.of(fresh, fit.drives)) if fresh else None,
     )
 
@@ -592,18 +595,16 @@ def _contradictions(
     One can make up for the other: the one is named that explains more.
     """
     given, rows = fit.drives, fit.unknowns.rows
-    trials: dict[str, dict[str, Any]] = {}
-    if law.delay is not None:
-        trials["delay"] = {"rows": rows, "delay": True}
-    if law.kp is not None:
-        trials["kp"] = {"rows": (*rows, "kp")}
     named: list[tuple[float, str]] = []
-    for what, how in trials.items():
+    for what, kinds in (("delay", rows), ("kp", (*rows, "kp"))):
+        if getattr(law, what) is None:
+            continue
+        delay = what == "delay" or law.delay is None
         try:
-            free = fitted(fit, fall=_GLANCE, **how)
+            free = fitted(fit, kinds, delay=delay, fall=_GLANCE)
             if free.cost > (1.0 - 0.5 * _WRONG) * fit.cost:
                 continue
-            free = fitted(free, fall=FALL, **how)
+            free = fitted(free, kinds, delay=delay, fall=FALL)
         except SolverError:
             continue
         names, deviations = free.unknowns.names, np.sqrt(np.diag(free.covariance))
@@ -629,8 +630,12 @@ def _contradictions(
     yield from (words for _, words in sorted(named)[:1])
 
 
-def too_heavy(logs: Sequence[Recording], law: PD, robot: RobotModel, delay: float) -> Iterator[str]:
+def _too_heavy(
+    logs: Sequence[Recording], law: PD, robot: RobotModel, delay: float
+) -> Iterator[str]:
     """Yield a warning where described masses ask for a kp that is far from the one given."""
+    if law.kp is None:
+        return
     try:
         found = first_law(logs, replace(law, kp=None), robot, delay)[0].gains.proportional
     except DataError:

@@ -28,9 +28,6 @@ _HELD = 0.3
 # A delay (s) at which a law's efforts are taken where none is known: torques hardly tell one.
 USUAL_DELAY = 0.004
 
-# Without a limit none is reached, N·m (N).
-_NO_LIMIT = np.inf
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriveCommands:
@@ -86,7 +83,7 @@ class DriveCommands:
         added = np.zeros_like(command) if log.feedforward is None else np.array(log.feedforward)
         if log.feedforward is not None:
             note += "; the log's feed-forward efforts are added to the law's"
-        limit = np.full(log.n, _NO_LIMIT) if law.limit is None else np.array(law.limit)
+        limit = np.full(log.n, np.inf if law.limit is None else law.limit)
         return cls(command=command, feedforward=added, limit=limit, held=held, note=note)
 
     def at(self, time: Array, delay: float, asked: Array | None = None) -> tuple[Array, Array]:
