@@ -23,12 +23,13 @@ _NEW = {"alike", "within", "friction_max"}
 # A box without an end has null there.
 _NO_END = {"lower": -np.inf, "upper": np.inf}
 
-# Conditions that plain values say whole.
+# Conditions that plain values say whole. Where a kind is defined is asked first: to Python 3.10
+# aliases such as tuple[str, ...] are types, and no classes.
 _KINDS: dict[str, type[Condition]] = {
     name: kind
     for module in (equalities, mass, pairs)
     for name, kind in vars(module).items()
-    if isinstance(kind, type) and issubclass(kind, Condition) and kind.__module__ == module.__name__
+    if isinstance(kind, type) and kind.__module__ == module.__name__ and issubclass(kind, Condition)
     if not name.startswith("_")
 }
 
