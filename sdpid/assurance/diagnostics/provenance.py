@@ -248,23 +248,18 @@ def hidden_terms(problem: Problem) -> tuple[tuple[str, str, float], ...]:
     That is the share of a column, weighted as in the fit, that is not in the span of all others;
     zero where the parameter is no base parameter of its own. What is known is left out.
     """
-    if not any(isinstance(term, OneJoint) for term in problem.friction.terms):
+    friction, links = problem.friction, 10 * problem.robot.n_links
+    terms = [(term, own) for term, own in friction.placed if isinstance(term, OneJoint)]
+    if not terms:
         return ()
-    base, found = problem.base, list[tuple[str, str, float]]()
-    size = np.linalg.norm(problem.A, axis=0)
+    size, found = np.linalg.norm(problem.A, axis=0), list[tuple[str, str, float]]()
     inverse = np.linalg.pinv(problem.A / np.where(size > 0.0, size, 1.0))
-    links = 10 * problem.robot.n_links
-    for term, own in problem.friction.placed:
-        if not isinstance(term, OneJoint):
-            continue
-        for k in range(own.start, own.stop):
-            parameter = problem.friction.parameters[k]
-            if parameter.value is not None:
-                continue
-            column = np.flatnonzero(base.kept == links + k)
-            alone = column.size > 0 and size[column[0]] > 0.0
-            share = float(1.0 / np.linalg.norm(inverse[column[0]])) if alone else 0.0
-            found.append((parameter.name, term.joint, share))
+    for term, own in terms:
+        for k, parameter in enumerate(friction.parameters[own], links + own.start):
+            column = np.flatnonzero((problem.base.kept == k) & (size > 0.0))
+            share = float(1.0 / np.linalg.norm(inverse[column[0]])) if len(column) else 0.0
+            if parameter.value is None:
+                found.append((parameter.name, term.joint, share))
     return tuple(found)
 
 

@@ -23,11 +23,11 @@ _RANK = 1e-9
 _ROUNDED = 1e-12
 # Factors of joints in the length of a tendon.
 Lengths = Mapping[str, float]
-# Of ROS: number of joints, and factors of motor 1 and 2 in joint 1, of motor 2 in joint 2.
-_KINDS: dict[str, tuple[int, float, float, float]] = {
-    "SimpleTransmission": (1, 1.0, 0.0, 0.0),
-    "DifferentialTransmission": (2, 0.5, 0.5, -0.5),
-    "FourBarLinkageTransmission": (2, 1.0, 0.0, 1.0),
+# Of ROS: factors of the actuators, less their reductions, in the joints, less theirs.
+_KINDS: dict[str, list[list[float]]] = {
+    "SimpleTransmission": [[1.0]],
+    "DifferentialTransmission": [[0.5, 0.5], [0.5, -0.5]],
+    "FourBarLinkageTransmission": [[1.0, 0.0], [-1.0, 1.0]],
 }
 
 
@@ -319,22 +319,22 @@ def of_elements(root: Any, what: str) -> Transmission:
             "type", ""
         )
         joints, motors = (_ends(element, mark, f"{what}: {name}") for mark in ("joint", "actuator"))
-        known = _KINDS.get(kind.strip().rpartition("/")[2])
-        if known is None or (len(joints), len(motors)) != (known[0], known[0]):
+        short = kind.strip().rpartition("/")[2]
+        gears = np.array(_KINDS.get(short, np.zeros((0, 0))))
+        if not len(gears) or gears.shape != (len(joints), len(motors)):
             raise ModelError(
                 f"{what}: transmission '{name}' is of the kind {kind.strip()!r:.80} with "
                 f"{len(joints)} joints and {len(motors)} actuators; known are "
                 f"{', '.join(_KINDS)} of one or two each."
             )
-        (j, j_ratio, shift), (m, m_ratio, _) = joints[0], motors[0]
-        if len(joints) == 1:
-            rows[j] = {m: 1.0 / (m_ratio * j_ratio), "offset": shift}
-            continue
-        (j2, j2_ratio, shift2), (m2, m2_ratio, _) = joints[1], motors[1]
-        half, both, other = known[1:]
-        rows[j] = {m: half / (m_ratio * j_ratio), m2: both / (m2_ratio * j_ratio), "offset": shift}
-        first = half / m_ratio if both else -half / (m_ratio * j_ratio)
-        rows[j2] = {m: first / j2_ratio, m2: other / (m2_ratio * j2_ratio), "offset": shift2}
+        gears = gears / [ratio for _, ratio, _ in motors]
+        if short.startswith("FourBar"):
+            # Its second joint turns against the first.
+            gears[1, 0] /= joints[0][1]
+        names = [name for name, _, _ in motors]
+        for (joint, ratio, shift), row in zip(joints, gears.tolist(), strict=True):
+            own = {name: x / ratio for name, x in zip(names, row, strict=True)}
+            rows[joint] = {**own, "offset": shift}
     if not rows:
         raise ModelError(f"{what}: has no <transmission>; give transmission= as numbers.")
     return Transmission.of({"joints": rows})
