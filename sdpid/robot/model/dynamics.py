@@ -250,7 +250,7 @@ class RobotDynamics:
         """
         velocity = many(v, "velocity", self.robot.n)
         rest = np.zeros_like(velocity)
-        found = self._effort_of_terms(velocity, rest) + self._of_joints(velocity, rest)
+        found = self._effort_of_terms(velocity, rest)
         return found[0] if is_single(v) else found
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
@@ -381,8 +381,7 @@ class RobotDynamics:
     def drive_inertia(self) -> Array:
         """Effort of the terms per unit acceleration, (n, n): rotor inertias and couplings."""
         unit, rest = np.eye(self.robot.n), np.zeros((self.robot.n, self.robot.n))
-        found = self._effort_of_terms(rest, unit) - self._effort_of_terms(rest, rest)
-        return (found + self._of_joints(rest, unit) - self._of_joints(rest, rest)).T
+        return (self._effort_of_terms(rest, unit) - self._effort_of_terms(rest, rest)).T
 
     def stiffness(self, q: Array) -> Array:
         """Return how efforts of terms of one joint's position change with it, (K, n, n)."""
@@ -397,15 +396,10 @@ class RobotDynamics:
                 out[:, :, j] = (ahead - back) / (2.0 * _NUDGE)
         return out
 
-    def _of_joints(self, v: Array, a: Array) -> Array:
-        """Return the effort (K, n) of terms on joints behind a transmission, at any position."""
-        if not any(isinstance(term, AtJoints) for term in self.terms.terms):
-            return np.zeros_like(v)
-        return self._effort_of_posed(np.zeros_like(v), v, a, kind=AtJoints)
-
     def _effort_of_terms(self, v: Array, a: Array) -> Array:
-        coefficients = self.theta[10 * self.robot.n_links :]
-        return np.asarray(self.terms.columns(v, a) @ coefficients)
+        """Return the effort (K, n) of terms at any position, on joints behind motors too."""
+        found = self.terms.columns(v, a) @ self.theta[10 * self.robot.n_links :]
+        return np.asarray(found + self._effort_of_posed(np.zeros_like(v), v, a, kind=AtJoints))
 
     @cached_property
     def _load(self) -> bool:
@@ -415,14 +409,14 @@ class RobotDynamics:
     def _effort_of_posed(
         self, q: ArrayLike, v: Array, a: Array, *, kind: type[Any] = FrictionTerm
     ) -> Array:
-        """Return the effort (K, n) of the terms of a kind that depend on the position."""
+        """Return the effort (K, n) of terms of a kind; by default all that depend on positions."""
         position = np.atleast_2d(np.asarray(q, dtype=np.float64))
         first, out = self.terms.first, np.zeros_like(v)
         motion = SampledMotion(
             position=position, velocity=v[:, first:], acceleration=a[:, first:], robot=self.robot
         )
         for term, values in self._posed():
-            if isinstance(term, kind):
+            if isinstance(term, kind) and isinstance(term, AtJoints) == (kind is AtJoints):
                 out[:, first:] += term.columns_in(motion, self.terms.joint_names) @ values
         return out
 
