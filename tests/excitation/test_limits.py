@@ -29,6 +29,8 @@ from sdpid.excitation.limits.torque import TorqueModel, body_sizes
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.trajectory.curve import Curve, SampledCurve, Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.dynamics import RobotDynamics
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import TREE, TREE_MIMIC
 from tests.helpers.small_robots import URDFS
@@ -918,6 +920,20 @@ def test_broken_limits_are_named(data_folder: Path, name: str, beyond: float, sh
         dense = np.abs(curve.evaluate(time, derivative=order)).max(axis=0)
         worst = [row.worst for row in check.rows if row.kind == kind]
         assert np.all(dense <= np.array(worst) * (1.0 + 1e-9))
+
+
+def test_what_no_torque_holds_is_told() -> None:
+    joints = ("wrist_2_joint", "wrist_3_joint")
+    wrist = sdpid.Transmission([[1.0, 1.0], [1.0, -1.0]], joints=joints)
+    robot = sdpid.load_robot("ur5_robot", transmission=wrist)
+    springs = (sdpid.friction.Spring("elbow_joint", 3.0, 0.0),)
+    told = TorqueModel.of(replace(robot, springs=springs)).notes
+    assert any("not in them: Spring" in note for note in told)
+    assert any("several motors move" in note for note in told)
+    terms = FrictionModel.from_terms(springs, robot.joint_names)
+    theta = np.append(robot.prior.ravel(), 3.0)
+    estimate = RobotDynamics(robot=robot, terms=terms, theta=theta)
+    assert any("not in them: Spring" in note for note in TorqueModel.of(robot, estimate).notes)
 
 
 @given(seed=SEEDS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,8 +15,8 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.posed import LoadFriction
-from sdpid.robot.friction.term import JointwiseTerm
+from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.inertia import inertia_tensor
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel, each_state
@@ -269,6 +270,13 @@ def body_sizes(bodies: Array) -> Array:
     return np.column_stack([np.abs(bodies[:, 0]), moments, inertias])
 
 
+def _left_out(terms: Iterable[FrictionTerm]) -> list[str]:
+    """Return which terms are in no torque, in a sentence: those of positions and of joints."""
+    kinds = [type(term) for term in terms if term.posed]
+    left = dict.fromkeys(kind.__name__ for kind in kinds if kind not in (LoadFriction, Tilt))
+    return [f"not in them: {', '.join(left)}; keep a larger reserve."] if left else []
+
+
 def _dynamics(
     robot: RobotModel, estimate: Estimate | RobotDynamics | None
 ) -> tuple[RobotDynamics, list[str], float]:
@@ -281,7 +289,8 @@ def _dynamics(
                 f"{', '.join(found.robot.joint_names)}; '{robot.name}' has "
                 f"{', '.join(robot.joint_names)}."
             )
-        return found, ["torques are those of the estimate, friction included."], _IDENTIFIED
+        words = ["torques are those of the estimate, friction included."]
+        return found, words + _left_out(found.terms.terms), _IDENTIFIED
     viscous, coulomb = robot.described_friction()
     limit = robot.effort_limits
     speed = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, 0.0)
@@ -291,6 +300,9 @@ def _dynamics(
     values = [robot.prior.ravel(), coulomb, viscous, robot.described_armature()]
     dynamics = RobotDynamics(robot=robot, terms=terms, theta=np.concatenate(values))
     words = ["torques are those of the description, friction included."]
+    words += _left_out(robot.springs)
+    if any(np.count_nonzero(row) > 1 for row in robot.expansion):
+        words.append("friction and rotors of joints that several motors move count at each alone.")
     light = [name for name, body in zip(robot.link_names, robot.prior, strict=True) if not body[0]]
     if len(light) == robot.n_links:
         return dynamics, ["the description has no masses: torques are not checked."], 0.0
