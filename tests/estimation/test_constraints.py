@@ -585,6 +585,17 @@ def test_mirrored_motions_meet_the_same_friction(name: str) -> None:
         assert np.allclose(image, -other if pair.opposite else other, atol=1e-6)
 
 
+def test_motors_that_move_several_joints_leave_others_their_links() -> None:
+    rows = {"HR_HFE": {"screw": 1.0}, "HR_KFE": {"screw": 2.0, "offset": -0.2}}
+    plain, moved = (
+        sdpid.load_robot("solo12", root="free_flyer", transmission=given)
+        for given in (None, {"joints": rows})
+    )
+    pairs = [("FL_HAA", "FR_HAA"), ("HL_HAA", "HR_HAA"), ("FL_KFE", "FR_KFE")]
+    found, expected = (of.equal_friction(robot, pairs=pairs) for robot in (moved, plain))
+    assert found == expected
+
+
 def test_terms_of_a_pair() -> None:
     robot = small_arm(3)
     layout = layout_of(robot, *TERMS, sdpid.friction.Coupling("joint_2", "joint_3"))

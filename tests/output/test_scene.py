@@ -20,7 +20,7 @@ from sdpid.output.charts.page import policy
 from sdpid.output.scene.scene import Scene, identified_scene, inertia_ellipsoid, recorded_motion
 from sdpid.output.scene.surfaces import Surface, described_surfaces, hull, thinned
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia, theta_from_physical
-from sdpid.robot.model.geometry import link_placements, neutral
+from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.browser import Tab, look
@@ -37,7 +37,7 @@ def moved(robot: RobotModel, seconds: float = 2.0, rate: float = 100.0, **fields
     time = np.arange(round(seconds * rate)) / rate
     position = 0.5 * np.sin(time)[:, None] * np.ones(robot.n)
     if robot.free_flyer:
-        start = neutral(robot)
+        start = pin.neutral(robot.pin_model)
         position = np.stack([pin.integrate(robot.pin_model, start, each) for each in position])
     rest = np.zeros((len(time), robot.n))
     fields = {"time": time, **fields}

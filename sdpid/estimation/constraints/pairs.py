@@ -201,7 +201,7 @@ def equal_friction(
     out = []
     for pair in found:
         (turn, slide), (own_turn, own_slide) = (
-            _rates(robot, placements, position, joints.index(joint)) for joint in pair
+            _rates(robot, placements, position, joint) for joint in pair
         )
         # A mirror turns the sense of rotations about what it keeps, not of translations.
         way = float(own_slide @ mirror @ slide) - float(own_turn @ mirror @ turn)
@@ -234,13 +234,10 @@ def _placed_pairs(
             f"{asked}: '{robot.name}' has no {kind} {', '.join(unknown)}; it has "
             f"{', '.join(names)}."
         )
-    plane = unit_normal(normal, asked)
-    # Joint j moves link j, behind a floating base link j + 1.
-    ahead = 0 if joints is None else int(robot.free_flyer)
-    places = link_placements(robot, position)[ahead:, :3, 3]
+    plane, places = unit_normal(normal, asked), link_placements(robot, position)[:, :3, 3]
     for pair in found:
-        links = [names.index(name) for name in pair]
-        first, second = (robot.link_names[ahead + link] for link in links)
+        links = [names.index(x) if joints is None else _link(robot, x) for x in pair]
+        first, second = (robot.link_names[link] for link in links)
         one, two = places[links]
         off = float(np.linalg.norm(one - 2.0 * (plane @ one) * plane - two))
         if off > _OFF_PLACE:
@@ -312,14 +309,20 @@ def _of_joint(layout: Layout, joint: str) -> dict[str, int]:
     return found
 
 
+def _link(robot: RobotModel, joint: str) -> int:
+    """Return the link that a joint moves, or the one that a motor moves most."""
+    seat, moved = robot.seat(joint)[0], robot.expansion[:, robot.joint_names.index(joint)]
+    row = robot.tree_joints.index(seat) if seat else int(np.argmax(np.abs(moved)))
+    return row - 5 * int(robot.free_flyer)
+
+
 def _rates(
-    robot: RobotModel, placements: Array, position: ArrayLike | None, joint: int
+    robot: RobotModel, placements: Array, position: ArrayLike | None, joint: str
 ) -> tuple[Array, Array]:
     """Return how a joint turns and how it moves its link, (3,) each in the base frame."""
     moved = np.array(neutral(robot) if position is None else position, dtype=np.float64)
-    base = len(moved) - (robot.n - robot.n_base)
-    moved[base + joint] += _STEP
-    link = joint + int(robot.free_flyer)
+    moved[robot.joint_names.index(joint) - robot.n] += _STEP
+    link = _link(robot, joint)
     before, after = placements[link], link_placements(robot, moved)[link]
     skew = after[:3, :3] @ before[:3, :3].T
     turn = np.array([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]])

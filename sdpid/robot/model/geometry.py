@@ -185,11 +185,8 @@ def described_shapes(
 
 def neutral(robot: RobotModel) -> Array:
     """Return the position at which all joints are at zero and a floating base at the origin."""
-    if not robot.free_flyer:
-        return np.zeros(robot.n)
-    import pinocchio as pin
-
-    return np.asarray(pin.neutral(robot.pin_model))
+    base = np.eye(7)[6] if robot.free_flyer else np.zeros(0)
+    return np.concatenate([base, np.zeros(robot.n - robot.n_base)])
 
 
 def link_placements(robot: RobotModel, position: ArrayLike | None = None) -> Array:
@@ -200,8 +197,8 @@ def link_placements(robot: RobotModel, position: ArrayLike | None = None) -> Arr
     robot : RobotModel
         The robot.
     position : array_like, shape (n,), optional
-        Joint positions in rad or m, a configuration (nq,) with a floating base; by default all
-        zero, with the base at the origin.
+        Joint positions in rad or m, behind the seven of a floating base; by default all zero, with
+        the base at the origin.
 
     Raises
     ------
