@@ -127,8 +127,8 @@ ESTIMATION = (
             "smooth within 0.02 rad/s, coulomb=fit within the speed that fits best. Repeat for "
             "each term. They replace the default terms; +stribeck adds to them.",
             "--effects auto|none|A,B,... = auto": "Effects beside the friction terms: those that "
-            "the log shows, none, or some of tilt, load, rotor_inertia, coupling, falling and "
-            "position, which is by name alone.",
+            "the log shows, none, or some of tilt, load, rotor_inertia, coupling, falling, "
+            "hysteresis and position, which is by name alone.",
             "--weighting gls|gls_per_sample|eq9|eq18|residual": "Weighting of the residuals. "
             "Default: gls with periods, else residual.",
         },

@@ -24,6 +24,7 @@ from sdpid.estimation.problem import Problem, describe
 from sdpid.estimation.selection import choose as selection
 from sdpid.estimation.selection.choose import with_effects, with_every_term
 from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
+from sdpid.robot.friction.position import Hysteresis
 from sdpid.robot.friction.term import FrictionTerm, OpenParameter, SampledMotion
 from sdpid.robot.friction.terms import (
     Coulomb,
@@ -306,6 +307,7 @@ TRUTHS: dict[str, tuple[FrictionTerm, Array]] = {
     "load": (LoadFriction(BODIES), np.full(4, 0.1)),
     "rotor_inertia": (RotorInertia(), np.full(4, 0.2)),
     "falling": (Stribeck(velocity=0.5), np.full(4, 0.5)),
+    "hysteresis": (Hysteresis("joint_3", (0.1, 0.3)), np.array([0.2, 0.2])),
 }
 
 
@@ -342,7 +344,7 @@ def names(problem: Problem) -> set[str]:
 
 @pytest.mark.parametrize(
     "effects",
-    [("tilt",), ("load",), ("rotor_inertia",), ("falling",), ("tilt", "rotor_inertia")],
+    [*((name,) for name in TRUTHS), ("tilt", "rotor_inertia")],
     ids="+".join,
 )
 def test_what_is_there_is_chosen(effects: tuple[str, ...]) -> None:
@@ -358,6 +360,11 @@ def test_what_is_there_is_chosen(effects: tuple[str, ...]) -> None:
         np.testing.assert_allclose(np.degrees([found["Gx"], found["Gy"]]), [1.5, -0.5], atol=0.05)
     if "load" in effects:
         np.testing.assert_allclose([found[f"Fl{j}"] for j in (2, 3, 4)], 0.1, atol=0.02)
+    if "hysteresis" in effects:
+        # At its joint alone, and all of it.
+        weights = {name: value for name, value in found.items() if name.startswith("Fh")}
+        assert [*weights] == ["Fha3", "Fhb3", "Fhc3"]
+        assert sum(weights.values()) == pytest.approx(0.4, rel=0.05)
     for each in problem.origin.effects:
         if each.chosen:
             assert each.fall >= each.least_fall
@@ -372,6 +379,7 @@ def test_what_is_absent_is_not_chosen(count: int, color: float) -> None:
         assert names(problem) == set()
         assert {each.name for each in problem.origin.effects} == {*TRUTHS}
         assert all("would lower" in each.words for each in problem.origin.effects)
+        assert any("hysteresis of all joints" in each.words for each in problem.origin.effects)
     # Nor is what is there, in a record too short to tell.
     assert names(chosen(logged("tilt", count=12))) == set()
 
@@ -401,6 +409,20 @@ def test_friction_over_position_is_taken_by_name_alone() -> None:
     found = solve_sdp(problem).named_theta()
     level = [found[f"Fp{k}{j + 1}"] + found[f"Fs{j + 1}"] for k in "abc" for j in range(4)]
     np.testing.assert_allclose(level, values + 0.3, atol=0.03)
+
+
+def test_hysteresis_by_name_is_that_of_each_joint_that_moves() -> None:
+    samples = logged()
+    position = samples.position.copy()
+    position[:, 1] = 0.2
+    samples, prior = replace(samples, position=position), Prior(bodies=1.1 * LINKS)
+    build = builder(samples, weighting="residual", prior=prior)
+    problem = with_effects(build(TERMS), TERMS, ("hysteresis",), build)
+    names = [each for each in problem.base.names if each.startswith("Fh")]
+    # Elements that slip after short ways are told apart from others.
+    assert names == [f"Fh{k}{j}" for j in (1, 3, 4) for k in "abc"]
+    words = [each.words for each in problem.origin.effects]
+    assert words[1] == "hysteresis of joint_3: in the model as asked"
 
 
 def test_a_tilt_that_would_be_seen_is_doubted() -> None:
@@ -457,7 +479,7 @@ def test_effects_without_a_place_or_rows_are_refused() -> None:
     refuses(DataError, "rows", with_every_term, problem.without_rows(), (), None)
     # Nor have they one twice or, some of them, on a floating base.
     floating = load_robot(TREE, root="free_flyer")
-    for effect in EFFECTS:
+    for effect in (own for each in EFFECTS for own in each.each(ARM4, (), RANGE[:, [0, 1, 0, 1]])):
         if effect.name in ("tilt", "load"):
             assert effect.term(floating, (), RANGE) is None
         first = effect.term(ARM4, (RotorInertia(),) if effect.name == "coupling" else (), RANGE)

@@ -121,12 +121,12 @@ def with_effects(
         For an effect that has no place on the robot.
     """
     terms: tuple[FrictionTerm, ...] = problem.friction.terms
-    asked = []
+    asked, position = [], problem.samples.position
     needed = {effect.beside for effect in EFFECTS if effect.name in names}
-    for effect in EFFECTS:
+    for effect in (own for each in EFFECTS for own in each.each(problem.robot, terms, position)):
         if effect.name not in (*names, *needed) or effect.held(terms):
             continue
-        term = effect.term(problem.robot, terms, problem.samples.position)
+        term = effect.term(problem.robot, terms, position)
         if term is None:
             raise DataError(
                 f"effects: {effect.name} has no place on '{problem.robot.name}', for it takes "
@@ -146,15 +146,41 @@ def with_effects(
 
 
 def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_Trial]]:
-    """Return the trials that were taken, and those of the last round, which were not."""
-    robot, terms, estimate = problem.robot, problem.friction.terms, _solved(problem)
+    """Return the trials that were taken, and those of the last rounds, which were not."""
+    terms, estimate = problem.friction.terms, _solved(problem)
+    taken, left_out = _added(problem, prior, EFFECTS, terms, estimate)
+    for effect in EFFECTS:
+        if effect.of_joint is None:
+            continue
+        if taken:
+            terms, estimate = (*terms, *(each.term for each in taken)), taken[-1].estimate
+        own = effect.each(problem.robot, terms, problem.samples.position)
+        more, others = _added(problem, prior, own, terms, estimate, effect)
+        taken += more
+        # Of the joints that are left the best one is told.
+        left_out += sorted(others, key=lambda trial: trial.told.fall or 0.0)[-1:]
+    return taken, left_out
+
+
+def _added(
+    problem: Problem,
+    prior: Prior | None,
+    effects: Sequence[Effect],
+    terms: tuple[FrictionTerm, ...],
+    estimate: Estimate,
+    together: Effect | None = None,
+) -> tuple[list[_Trial], list[_Trial]]:
+    """Add effects to terms as long as one is shown: return those, and the last round's others.
+
+    One alone brings no more than all do `together`: it is not tried where that is too little.
+    """
     taken: list[_Trial] = []
     # Open numbers of terms are closed once: they are chosen again with the final terms.
     closed: dict[Effect, FrictionTerm] = {}
     while True:
         terms, candidates = tuple(_at(term, estimate) for term in terms), {}
-        for effect in EFFECTS:
-            term = effect.term(robot, terms, problem.samples.position)
+        for effect in effects:
+            term = effect.term(problem.robot, terms, problem.samples.position)
             if term is not None and not effect.by_name:
                 if effect not in closed:
                     closed[effect] = _closed(problem, terms, term)
@@ -164,10 +190,15 @@ def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_
         largest, independent = with_every_term(problem, (*terms, *candidates.values()), prior)
         every = list(candidates.values())
         before = _solved(without_terms(largest, every))
+        if together is not None:
+            whole = replace(together, title=f"{together.title} of all joints")
+            most = _tried(whole, every, before, largest, independent)
+            if (most.told.fall or 0.0) < whole.least_fall:
+                return taken, [most]
         tried = []
         for effect, term in candidates.items():
             alone = without_terms(largest, [each for each in every if each is not term])
-            tried.append(_tried(effect, term, before, alone, independent))
+            tried.append(_tried(effect, [term], before, alone, independent))
         shown = [trial for trial in tried if trial.shown]
         if not shown:
             return taken, tried
@@ -227,14 +258,18 @@ def _model(robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionModel:
 
 
 def _tried(
-    effect: Effect, term: FrictionTerm, before: Estimate, problem: Problem, independent: float
+    effect: Effect,
+    terms: Sequence[FrictionTerm],
+    before: Estimate,
+    problem: Problem,
+    independent: float,
 ) -> _Trial:
-    """Solve with an effect, and compare."""
+    """Solve with the terms of an effect, and compare."""
     from scipy.special import fdtrc
 
     after = _solved(problem)
     saved = max(before.cost - after.cost, 0.0)
-    count = len(term.parameters(problem.friction.joint_names))
+    count = sum(len(term.parameters(problem.friction.joint_names)) for term in terms)
     probability = 1.0
     if independent >= 1.0:
         noise = problem.cost(after.base) / independent
@@ -254,7 +289,7 @@ def _tried(
         parameters=count,
     )
     shown = fall >= effect.least_fall and probability <= BY_CHANCE and not doubt
-    return _Trial(effect, term, after, told, shown)
+    return _Trial(effect, terms[0], after, told, shown)
 
 
 def _closed(problem: Problem, terms: tuple[FrictionTerm, ...], term: FrictionTerm) -> FrictionTerm:

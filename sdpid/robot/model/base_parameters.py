@@ -8,7 +8,7 @@ question (`sdpid.estimation.information`).
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -44,6 +44,10 @@ _STATES = 120
 
 # Further ones for each speed that friction terms name: a few parameters a joint depend on it.
 _STATES_OF_SPEED = 30
+
+# Terms that remember see a state after a turn that is 10 to the power of these away, rad or m:
+# as likely near as far.
+_WAYS = (-4.0, 0.5)
 _SEED = 20210621
 
 
@@ -182,9 +186,21 @@ def _generic_rows(robot: RobotModel, friction: FrictionModel, seed: int) -> Arra
         rng = np.random.default_rng(seed + 3)
         more[1][:, robot.n_base :] = speeds * rng.uniform(-1.5, 1.5, speeds.shape)
         q, v, a = (np.concatenate(pair) for pair in zip((q, v, a), more, strict=True))
-    first = friction.first
+    first, rng = friction.first, np.random.default_rng(seed + 4)
+    ways = rng.choice([-1.0, 1.0], v.shape) * 10.0 ** rng.uniform(*_WAYS, v.shape)
+    turns = q.copy()
+    turns[:, first - robot.n :] += ways[:, first:]
+
+    def through_path(function: Callable[[Array], Array]) -> Array:
+        # Every state is come to from a turn near it.
+        return function(np.stack([turns, q], axis=1).reshape(-1, q.shape[1]))[1::2]
+
     motion = SampledMotion(
-        position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot
+        position=q,
+        velocity=v[:, first:],
+        acceleration=a[:, first:],
+        robot=robot,
+        through_path=through_path,
     )
     columns = np.concatenate([robot.regressor(q, v, a), friction.columns_in(motion)], axis=2)
     return columns.reshape(-1, columns.shape[2])
