@@ -61,13 +61,8 @@ class _Model(NamedTuple):
 
     def least(self) -> Array:
         """Return the least value of every unknown: 0 or none."""
-        places = self.places
-        low = np.full(places[-1], -np.inf)
-        low[places[:-1]] = 0.0
-        for place, terms in zip(places[:-1].tolist(), self.terms, strict=True):
-            least = [term.least for term in terms for _ in range(term.size)]
-            low[place + 1 : place + 1 + len(least)] = least
-        return low
+        own = [[0.0, *(t.least for t in terms for _ in range(t.size))] for terms in self.terms]
+        return np.concatenate([np.full(self.places[0], -np.inf), *own])
 
     def delays(self, x: Array) -> Array:
         """Return the delay of every joint, (m,), of the unknowns."""
@@ -290,31 +285,23 @@ def _left_out(groups: list[list[Run]], model: _Model, delays: Array | None = Non
     return np.array(errors)
 
 
-def _table(
-    runs: list[Run], late: list[tuple[Array, Array]], j: int, terms: tuple[DeflectionTerm, ...]
-) -> Array:
-    """Return a joint's velocity, torque, columns of terms and differences in a recording.
-
-    It is (N, 3 + k). Means are taken off: the offset.
-    """
-    parts = []
-    for run, (velocity, torque) in zip(runs, late, strict=True):
-        more = [term.columns(run.link[:, j], torque[:, j]) for term in terms]
-        columns = (velocity[:, j], torque[:, j], *more, run.difference[:, j])
-        parts.append(np.column_stack(columns))
-    table = np.concatenate(parts)
-    return np.asarray(table - table.mean(axis=0))
-
-
 def _tables(groups: list[list[Run]], model: _Model, delays: Array) -> list[Array]:
-    """Return every joint's table of all recordings."""
-    late = [[run.late(delays) for run in runs] for runs in groups]
-    return [
-        np.concatenate(
-            [_table(runs, each, j, terms) for runs, each in zip(groups, late, strict=True)]
-        )
-        for j, terms in enumerate(model.terms)
-    ]
+    """Return every joint's velocity, torque, columns of terms and differences, (N, 3 + k).
+
+    The means of each recording are taken off: the offsets.
+    """
+    found: list[list[Array]] = [[] for _ in model.terms]
+    for runs in groups:
+        late = [(run, *run.late(delays)) for run in runs]
+        for j, terms in enumerate(model.terms):
+            parts = []
+            for run, velocity, torque in late:
+                more = [term.columns(run.link[:, j], torque[:, j]) for term in terms]
+                columns = (velocity[:, j], torque[:, j], *more, run.difference[:, j])
+                parts.append(np.column_stack(columns))
+            table = np.concatenate(parts)
+            found[j].append(table - table.mean(axis=0))
+    return [np.concatenate(own) for own in found]
 
 
 def _missed(tables: list[Array], weights: list[Array]) -> Array:
@@ -323,16 +310,17 @@ def _missed(tables: list[Array], weights: list[Array]) -> Array:
     return np.stack([table[:, -1] - table[:, :-1] @ x for table, x in each], axis=1)
 
 
-def _least(A: Array, y: Array, low: Array) -> tuple[Array, Array]:
-    """Return the best weights of columns that are not below others, and the best of all."""
+def _least(A: Array, y: Array, low: Array) -> tuple[Array, Array, Array]:
+    """Return the best weights of columns that are not below others, the best of all, and sizes."""
     from scipy.optimize import lsq_linear
 
     scale = np.linalg.norm(A, axis=0)
     scale[scale == 0.0] = 1.0
     free = np.linalg.lstsq(A / scale, y)[0]
-    if (free >= low).all():
-        return free / scale, free / scale
-    return lsq_linear(A / scale, y, (low, np.inf)).x / scale, free / scale
+    best = free
+    if (free < low).any():
+        best = lsq_linear(A / scale, y, (low, np.inf)).x
+    return best / scale, free / scale, scale
 
 
 def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) -> _Solution:
@@ -352,14 +340,12 @@ def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) ->
             parts.append(np.zeros((len(small), places[-1] + 1)))
             parts[-1][:, [*unknowns, -1]] = small
         system = np.concatenate(parts)
-        best, free = _least(system[:, :-1], system[:, -1], low)
+        best, free, scale = _least(system[:, :-1], system[:, -1], low)
         delays = model.delays(best)
         sizes = np.array([table[:, -1].std() for table in tables])
         left = _missed(tables, model.split(best)).std(axis=0)
         weight = 1.0 / np.maximum(left, _EXACT * sizes)
     # How far the unknowns move without each block of time, in which errors may be alike.
-    scale = np.linalg.norm(system[:, :-1], axis=0)
-    scale[scale == 0.0] = 1.0
     power, scores = np.zeros((BLOCKS, len(scale), len(scale))), np.zeros((BLOCKS, len(scale)))
     left = used * _missed(tables, model.split(free))
     for j, (unknowns, table) in enumerate(zip(of, tables, strict=True)):
@@ -377,6 +363,8 @@ def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) ->
     rest = whole - power
     moved = np.einsum("bij,bj->bi", np.linalg.pinv(rest, hermitian=True), scores)
     errors = np.sqrt((1.0 - 1.0 / BLOCKS) * np.sum(moved**2, axis=0)) / scale
+    # Few blocks may tell too little by chance: less than errors that have nothing in common.
+    errors = np.maximum(errors, np.sqrt(np.diag(inverse)) / scale)
     return _Solution(best=best, free=free, errors=errors, freedom=freedom)
 
 
