@@ -19,7 +19,7 @@ _ROUNDS, FALL = 40, 1e-5
 _DAMPING, _MOST_DAMPING = 1e-3, 1e4
 
 # Numbers whose unit moves all positions together by less (rad², m²) are not seen, and stay.
-_UNSEEN = 1e-8
+UNSEEN = 1e-8
 
 # Added to the unit diagonal of the normal equations: numbers that the log does not show stay.
 _RIDGE = 1e-9
@@ -270,7 +270,7 @@ def _bounded_step(H: Array, g: Array, damping: float, low: Array, high: Array) -
     """Minimize the damped quadratic model within bounds."""
     from scipy.optimize import lsq_linear
 
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), _UNSEEN))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), UNSEEN))
     ridge = max(damping, _RIDGE)
     L = np.linalg.cholesky(H * scale * scale[:, None] + ridge * np.eye(len(g)))
     wanted = np.linalg.solve(L, g * scale)

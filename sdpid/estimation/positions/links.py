@@ -10,6 +10,7 @@ optimum is consistent. Its dual bounds what any such step could still gain.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_rows
 from sdpid.estimation.positions.drives import ROW, DriveNumbers, Unknowns
 from sdpid.estimation.positions.fit import (
+    UNSEEN,
     PositionFit,
     SolvedRollouts,
     normal_equations,
@@ -38,8 +40,12 @@ SYMBOLS = {"Ia": "armature", "Fv": "damping", "Fs": "friction"}
 # Where it compiles for the first time, it takes several.
 _LARGE = 1 << 28
 
-# Of its step the shares that are tried until the cost falls.
-_SHARES = (1.0, 0.5, 0.25)
+# Of its step the shares that are tried until the cost falls, and then steps that are damped: where
+# a joint hardly rubs, its friction over position is not seen, and would go anywhere.
+_SHARES, _DAMPINGS = (1.0, 0.5, 0.25), (0.0, 1e-3, 1e-1)
+
+# A step that promises to lower the cost by less, in variances, is none.
+_NOTHING = 1e-2
 
 
 def links_of(problem: Problem, theta: Array) -> RobotDynamics:
@@ -120,7 +126,9 @@ class JointNormal:
         variance = max(float(np.median(spread)), fit.cost / fit.size)
         return cls(problem, fit, unknowns, H, g, scores, variance)
 
-    def step(self, theta: Array, *, held: bool = False) -> tuple[Estimate, Array]:
+    def step(
+        self, theta: Array, *, held: bool = False, damping: float = 0.0
+    ) -> tuple[Estimate, Array]:
         """Return the optimum of the convex program about theta, and how all else moves with it.
 
         Parameters
@@ -129,12 +137,15 @@ class JointNormal:
             Parameters of the fit.
         held : bool, optional
             Whether the delay stays.
+        damping : float, optional
+            Of all that is no base parameter, relative to how the log shows it.
         """
         b, free = self.problem.base.count, np.ones(self.unknowns.count, dtype=bool)
         if held:
             free[len(self.unknowns.names) - 1] = False
         rest = b + np.flatnonzero(free)
-        inverse, cross = scaled_inverse(self.H[np.ix_(rest, rest)]), self.H[:b, rest]
+        own, cross = self.H[np.ix_(rest, rest)], self.H[:b, rest]
+        inverse = scaled_inverse(own + damping * np.diag(np.maximum(np.diag(own), UNSEEN)))
         S = self.H[:b, :b] - cross @ inverse @ cross.T
         pull = self.g[:b] - cross @ inverse @ self.g[rest]
         A = information_rows(S / self.variance)
@@ -224,9 +235,14 @@ def with_links(estimate: Estimate, fit: PositionFit) -> tuple[Estimate, SolvedRo
     problem = estimate.problem
     here = theta_with(problem, estimate.some_theta, fit.drives)
     normal = JointNormal.of(problem, fit)
-    found, others = normal.step(here)
     x, (low, high) = normal.unknowns.pack(fit.drives, fit.starts), normal.unknowns.bounds()
-    for share in _SHARES if found.status == "optimal" else ():
+    for damping, share in product(_DAMPINGS, _SHARES):
+        if share == _SHARES[0]:
+            found, others = normal.step(here, damping=damping)
+            if found.status == "optimal" and found.problem.cost_of(here) - found.cost < _NOTHING:
+                break
+        if found.status != "optimal":
+            continue
         there = here + share * (found.some_theta - here)
         own = [each.log.rollout(links_of(problem, there)) for each in fit.rollouts]
         moved = np.clip(x + share * others, low, high)
