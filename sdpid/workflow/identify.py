@@ -53,7 +53,7 @@ from sdpid.workflow.result import Identification
 MADE_OF_LAW = ("coulomb", "viscous", "rotor_inertia")
 
 # A law gives efforts their sign. At another delay than the drives' they only seem to push.
-_NOT_OF_LAW = "effort_sign"
+_NOT_OF_LAW = ("effort_sign", "position_sign")
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
 # six and seven joints; Gauss-Markov intervals take some 0.1 s.
@@ -236,7 +236,7 @@ def identify(
         effects=effects if law is None else "none",
     )
     if law is not None:
-        kinds = (*kinds_accepted(accept), _NOT_OF_LAW)
+        kinds = (*kinds_accepted(accept), *_NOT_OF_LAW)
         options = {"processing": processing, "accept": kinds}
         return _under_law(
             robot, log, validation, law, target or "mujoco", formulation, intervals, options
@@ -325,7 +325,7 @@ def _under_law(
     first, notes = first_law(matched, law, model, delay)
     made, seen = ([with_efforts_of_law(x, first, delay) for x in each] for each in (matched, fresh))
     prepared = formulation.prepare(model, made, **options)
-    kept = tuple(each for each in prepared.findings if each.kind != _NOT_OF_LAW)
+    kept = tuple(each for each in prepared.findings if each.kind not in _NOT_OF_LAW)
     prepared = replace(prepared, findings=kept)
     result = _solved(
         formulation.problem(prepared),

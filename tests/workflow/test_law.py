@@ -156,9 +156,11 @@ def test_words_tell_the_proven_start_from_what_is_written(legs, result, tmp_path
         (PD(kp=KP, kd=KD, delay=0.005), ()),
         (PD(kp=KP, kd=KD, delay=0.0), ("the delay given, 0 ms, does not suit the log: ",)),
         (PD(kp=1.5 * KP, kd=KD), ("the kp given is 1.7 times what the described masses ask for",)),
-        (PD(kp=0.7 * KP, kd=KD), ("the kp given, 14 at rknee, does not suit the log: ",)),
+        (PD(kp=0.7 * KP, kd=KD), ("the kp given, of all joints, does not suit the log: ",)),
+        # Of two joints the other one may be wrong the other way round.
+        (PD(kp=[KP, 1.2 * KP, KP, KP], kd=KD), ("the kp given, 20 at lhip, does not suit ",)),
     ],
-    ids=["right", "delay", "kp too large", "kp too small"],
+    ids=["right", "delay", "kp too large", "kp too small", "kp of one joint"],
 )
 def test_a_wrong_law_is_named(legs, law, words):
     result = sdpid.identify(*legs, law=law)

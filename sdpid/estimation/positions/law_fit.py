@@ -508,7 +508,7 @@ def fit_law(
         convex=estimate,
         notes=tuple(dict.fromkeys(each.commands.note for each in followed)),
         warnings=(
-            *_contradictions(fitted, fit, law, problem.robot.joint_names),
+            *_contradictions(fitted, fit, law, estimate),
             *_too_heavy(logs, law, problem.robot, fit.drives.delay),
         ),
         validated=judged(SolvedRollouts.of(fresh, fit.drives)) if fresh else None,
@@ -588,13 +588,14 @@ def _along(fit: PositionFit, fixed: float | None, where: Array) -> dict[str, Arr
 
 
 def _contradictions(
-    fitted: Callable[..., PositionFit], fit: PositionFit, law: PD, joint_names: Sequence[str]
+    fitted: Callable[..., PositionFit], fit: PositionFit, law: PD, estimate: Estimate
 ) -> Iterator[str]:
     """Yield a warning where the data contradict the delay or the kp that was given.
 
     One can make up for the other: the one is named that explains more.
     """
     given, rows = fit.drives, fit.unknowns.rows
+    joint_names = estimate.problem.robot.joint_names
     named: list[tuple[float, str]] = []
     for what, kinds in (("delay", rows), ("kp", (*rows, "kp"))):
         if getattr(law, what) is None:
@@ -602,25 +603,34 @@ def _contradictions(
         delay = what == "delay" or law.delay is None
         try:
             free = fitted(fit, kinds, delay=delay, fall=_GLANCE)
+            # Links, which took up what is wrong with it, give it back.
+            moved = with_links(estimate, free)[1]
+            free = fitted(moved, kinds, delay=delay, fall=_GLANCE)
             if free.cost > (1.0 - 0.5 * _WRONG) * fit.cost:
                 continue
             free = fitted(free, kinds, delay=delay, fall=FALL)
         except SolverError:
             continue
         names, deviations = free.unknowns.names, np.sqrt(np.diag(free.covariance))
-        there = free.unknowns.pack(free.drives, ())
-        off = np.abs(there - free.unknowns.pack(given, ()))
-        # Of joints the one whose number is off by the largest share; the delay is one number.
-        at = [k for k, name in enumerate(names) if name.rstrip("0123456789") == what]
-        k = max(at, key=lambda k: off[k] / max(there[k], 1e-12))
-        if free.cost > (1.0 - _WRONG) * fit.cost or off[k] <= _NORMAL * deviations[k]:
-            continue
+        own = deviations[[k for k, x in enumerate(names) if x.rstrip("0123456789") == what]]
         if what == "delay":
+            off = np.array([free.drives.delay - given.delay])
             stated, better = f"{1e3 * given.delay:.3g} ms", f"{1e3 * free.drives.delay:.3g} ms"
         else:
-            j = at.index(k)
+            # A common factor of a tree hardly shows: the joint is named that is unlike the others.
+            times, alike = free.drives["kp"] / given["kp"], np.ones(law.n)
+            for joints in fit.rollouts[0].trees:
+                alike[joints] = np.median(times[joints])
+            common = float(np.median(times))
+            off = given["kp"] * (times / alike - 1.0)
+            j = int(np.argmax(np.abs(times / alike - 1.0)))
             stated = f"{given['kp'][j]:.3g} at {joint_names[j]}"
-            better = f"about {free.drives['kp'][j]:.3g}"
+            better = f"about {given['kp'][j] + off[j]:.3g}"
+            if abs(common - 1.0) > abs(times[j] / alike[j] - 1.0):
+                off = given["kp"] * (common - 1.0)
+                stated, better = "of all joints", f"about {common:.3g} times as much"
+        if free.cost > (1.0 - _WRONG) * fit.cost or np.all(np.abs(off) <= _NORMAL * own):
+            continue
         words = (
             f"the {what} given, {stated}, does not suit the log: {better} leaves "
             f"{1e3 * free.rms:.3g} in place of {1e3 * fit.rms:.3g} mrad rms; leave --{what} out to "

@@ -127,7 +127,7 @@ class LawRollout:
             for values in (log.commands.command, log.commands.feedforward)
         )
         slopes = inverse_dynamics_slopes(links, *self._smooth())
-        self._components = _components(slopes[2])
+        self.trees = _components(slopes[2])
         self._slopes = self._blocks(slopes)
         # The reference pose of an MJCF is that of zero positions.
         self._resting = links.mass_matrix(np.zeros(log.position.shape[1]))
@@ -249,7 +249,7 @@ class LawRollout:
         lag = self._command_rate(drives.delay) * drives["kp"] * motion.free
         found = []
         for joints, factor, (now, before) in zip(
-            self._components, motion.factors, motion.before, strict=True
+            self.trees, motion.factors, motion.before, strict=True
         ):
             m = len(joints)
             width = (len(rows) + 2) * m + delay
@@ -282,9 +282,7 @@ class LawRollout:
         changes, and what acts within a step beside friction.
         """
         h, trees = STEP, []
-        for joints, (by_position, by_velocity, masses) in zip(
-            self._components, slopes, strict=True
-        ):
+        for joints, (by_position, by_velocity, masses) in zip(self.trees, slopes, strict=True):
             E, damping = np.eye(len(joints)), drives["damping"][joints]
             masses = masses + E * drives["armature"][joints]
             mobility[:, joints] = diagonals(np.linalg.inv(masses + h * damping * E))
@@ -299,7 +297,7 @@ class LawRollout:
         # Block by block, for most of the whole is zero.
         return [
             tuple(np.array(each[:, joints[:, None], joints]) for each in slopes)
-            for joints in self._components
+            for joints in self.trees
         ]
 
     def after(self, seconds: float) -> int:
