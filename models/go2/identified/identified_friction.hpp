@@ -6,8 +6,8 @@
 //
 // Arrays have one entry a joint, in the order of joint_names; `effort` must not
 // overlap the others. For C++11 and later.
-#ifndef SDPID_FRICTION_CF8A24E1AB71E303
-#define SDPID_FRICTION_CF8A24E1AB71E303
+#ifndef SDPID_FRICTION_EFC0688FC76B6C43
+#define SDPID_FRICTION_EFC0688FC76B6C43
 
 #include <cmath>
 
@@ -57,63 +57,63 @@ inline double peak(double ratio, double exponent) {
 // Writes friction and offsets of all joints.
 inline void friction(const double* v, double* effort) noexcept {
   effort[0] = 0.0
-      + 0.319606121249346 * detail::sign(v[0]);  // Fs1
+      + 0.31960611395620936 * detail::sign(v[0]);  // Fs1
   effort[1] = 0.0
-      + 0.18621668657531382 * detail::sign(v[1])  // Fs2
-      + 0.15691320644327242 * v[1];  // Fv2
+      + 0.18621666426670544 * detail::sign(v[1])  // Fs2
+      + 0.15691323226793874 * v[1];  // Fv2
   effort[2] = 0.0
-      + 0.977082431062875 * detail::sign(v[2])  // Fs3
-      + 0.029254511012514032 * v[2];  // Fv3
+      + 0.9770824384061414 * detail::sign(v[2])  // Fs3
+      + 0.02925448745997778 * v[2];  // Fv3
   effort[3] = 0.0
-      + 0.18441811935186797 * detail::sign(v[3])  // Fs4
-      + 0.18824083663271185 * v[3];  // Fv4
+      + 0.1844181755665087 * detail::sign(v[3])  // Fs4
+      + 0.18824069187296621 * v[3];  // Fv4
   effort[4] = 0.0
-      + 0.1896778464383232 * detail::sign(v[4])  // Fs5
-      + 0.08316075863831293 * v[4];  // Fv5
+      + 0.18967784507574997 * detail::sign(v[4])  // Fs5
+      + 0.08316074530370576 * v[4];  // Fv5
   effort[5] = 0.0
-      + 0.6446502926129982 * detail::sign(v[5])  // Fs6
-      + 0.0003161201208082892 * v[5];  // Fv6
+      + 0.6446502902536357 * detail::sign(v[5])  // Fs6
+      + 0.0003161064759372844 * v[5];  // Fv6
   effort[6] = 0.0
-      + 0.1585604245384029 * detail::sign(v[6])  // Fs7
-      + 0.10289727519330298 * v[6];  // Fv7
+      + 0.158560413340505 * detail::sign(v[6])  // Fs7
+      + 0.10289728374263898 * v[6];  // Fv7
   effort[7] = 0.0
-      + 0.1487276950483451 * detail::sign(v[7])  // Fs8
-      + 0.11955138190124737 * v[7];  // Fv8
+      + 0.148727691078564 * detail::sign(v[7])  // Fs8
+      + 0.11955137283846473 * v[7];  // Fv8
   effort[8] = 0.0
-      + 1.369338842588392 * detail::sign(v[8]);  // Fs9
+      + 1.3693388277275922 * detail::sign(v[8]);  // Fs9
   effort[9] = 0.0
-      + 0.22638514692460537 * detail::sign(v[9])  // Fs10
-      + 0.12095707997576555 * v[9];  // Fv10
+      + 0.22638516435254977 * detail::sign(v[9])  // Fs10
+      + 0.12095702560032448 * v[9];  // Fv10
   effort[10] = 0.0
-      + 0.2690865008183077 * detail::sign(v[10])  // Fs11
-      + 0.08715833796353159 * v[10];  // Fv11
+      + 0.2690865117037735 * detail::sign(v[10])  // Fs11
+      + 0.08715830138684012 * v[10];  // Fv11
   effort[11] = 0.0
-      + 0.8142550245811224 * detail::sign(v[11])  // Fs12
-      + 0.012821230084205978 * v[11];  // Fv12
+      + 0.8142550282451764 * detail::sign(v[11])  // Fs12
+      + 0.012821209821002945 * v[11];  // Fv12
 }
 
 // Writes the efforts that accelerate the rotors of all joints.
 inline void drive_inertia(const double* a, double* effort) noexcept {
   effort[0] = 0.0
-      + 1.8395266852450394e-09 * a[0];  // Ia1
+      + 1.8377807096188814e-09 * a[0];  // Ia1
   effort[1] = 0.0;
   effort[2] = 0.0
-      + 0.02460906731546353 * a[2];  // Ia3
+      + 0.02460906585825924 * a[2];  // Ia3
   effort[3] = 0.0;
   effort[4] = 0.0
-      + 0.018135787381977134 * a[4];  // Ia5
+      + 0.018135787977185173 * a[4];  // Ia5
   effort[5] = 0.0
-      + 0.02101289168586064 * a[5];  // Ia6
+      + 0.021012889542995756 * a[5];  // Ia6
   effort[6] = 0.0;
   effort[7] = 0.0
-      + 0.009096595484036447 * a[7];  // Ia8
+      + 0.009096593300170592 * a[7];  // Ia8
   effort[8] = 0.0
-      + 0.02045786533474168 * a[8];  // Ia9
+      + 0.020457864057291313 * a[8];  // Ia9
   effort[9] = 0.0;
   effort[10] = 0.0
-      + 0.0036864207309337976 * a[10];  // Ia11
+      + 0.0036864218369458087 * a[10];  // Ia11
   effort[11] = 0.0
-      + 0.0219713568031612 * a[11];  // Ia12
+      + 0.02197135511215772 * a[11];  // Ia12
 }
 
 // Writes friction that grows with load of all joints.
@@ -137,6 +137,6 @@ inline void load_friction(const double* v, const double* load, double* effort) n
 }  // namespace SDPID_FRICTION_NAMESPACE
 #undef SDPID_FRICTION_NAMESPACE
 
-// sdpid-friction: {"schema": "sdpid-friction", "version": 1, "software": "sdpid 0.1.0", "certificate": null, "robot": "go2_description", "joints": ["FL_hip_joint", "FL_thigh_joint", "FL_calf_joint", "FR_hip_joint", "FR_thigh_joint", "FR_calf_joint", "RL_hip_joint", "RL_thigh_joint", "RL_calf_joint", "RR_hip_joint", "RR_thigh_joint", "RR_calf_joint"], "terms": [{"term": "Coulomb", "width": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "dead_zone": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "values": [0.319606121249346, 0.18621668657531382, 0.977082431062875, 0.18441811935186797, 0.1896778464383232, 0.6446502926129982, 0.1585604245384029, 0.1487276950483451, 1.369338842588392, 0.22638514692460537, 0.2690865008183077, 0.8142550245811224]}, {"term": "Viscous", "values": [0.0, 0.15691320644327242, 0.029254511012514032, 0.18824083663271185, 0.08316075863831293, 0.0003161201208082892, 0.10289727519330298, 0.11955138190124737, 0.0, 0.12095707997576555, 0.08715833796353159, 0.012821230084205978]}, {"term": "RotorInertia", "values": [1.8395266852450394e-09, 0.0, 0.02460906731546353, 0.0, 0.018135787381977134, 0.02101289168586064, 0.0, 0.009096595484036447, 0.02045786533474168, 0.0, 0.0036864207309337976, 0.0219713568031612]}], "left_out": []}
+// sdpid-friction: {"schema": "sdpid-friction", "version": 1, "software": "sdpid 0.3.0", "certificate": null, "robot": "go2_description", "joints": ["FL_hip_joint", "FL_thigh_joint", "FL_calf_joint", "FR_hip_joint", "FR_thigh_joint", "FR_calf_joint", "RL_hip_joint", "RL_thigh_joint", "RL_calf_joint", "RR_hip_joint", "RR_thigh_joint", "RR_calf_joint"], "terms": [{"term": "Coulomb", "width": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "dead_zone": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "values": [0.31960611395620936, 0.18621666426670544, 0.9770824384061414, 0.1844181755665087, 0.18967784507574997, 0.6446502902536357, 0.158560413340505, 0.148727691078564, 1.3693388277275922, 0.22638516435254977, 0.2690865117037735, 0.8142550282451764]}, {"term": "Viscous", "values": [0.0, 0.15691323226793874, 0.02925448745997778, 0.18824069187296621, 0.08316074530370576, 0.0003161064759372844, 0.10289728374263898, 0.11955137283846473, 0.0, 0.12095702560032448, 0.08715830138684012, 0.012821209821002945]}, {"term": "RotorInertia", "values": [1.8377807096188814e-09, 0.0, 0.02460906585825924, 0.0, 0.018135787977185173, 0.021012889542995756, 0.0, 0.009096593300170592, 0.020457864057291313, 0.0, 0.0036864218369458087, 0.02197135511215772]}], "left_out": []}
 
-#endif  // SDPID_FRICTION_CF8A24E1AB71E303
+#endif  // SDPID_FRICTION_EFC0688FC76B6C43
