@@ -582,19 +582,19 @@ def ready_models() -> Any:
     arms, models = (dict.fromkeys(row[key] for row in rows) for key in ("arm", "model"))
     order = ("URDF", "Menagerie", "URDF, friction fitted", "identified")
     assert {*order} >= {*models}
-    axes = panels(2, 1, height=4.8)
-    for axis, column, label in zip(
-        axes.flat,
-        ("missed_percent", "tracking_deg"),
-        ("missed effort [%]", "tracking error of\nthe median joint [°]"),
-        strict=True,
-    ):
+    columns = {
+        "missed_percent": "missed effort [%]",
+        "released_100_mrad": "0.1 s after the\nrelease [mrad]",
+        "tracking_deg": "tracking error of\nthe median joint [°]",
+    }
+    axes = panels(3, 1, height=6.6, sharex=True)
+    for axis, (column, label) in zip(axes.flat, columns.items(), strict=True):
         found = {(row["arm"], row["model"]): float(row[column] or "nan") for row in rows}
         groups = {m: [found.get((arm, m), np.nan) for arm in arms] for m in order if m in models}
         bars(axis, groups, arms, (GRAY, ORANGE, GREEN, BLUE))
         axis.set_yscale("log")
         axis.set_ylabel(label)
-    axes[1, 0].get_legend().remove()
+        axis.get_legend().remove()
     axes[0, 0].legend(frameon=False, fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0, 1))
     return axes
 
