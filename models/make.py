@@ -120,8 +120,7 @@ def page(name: str, row: Row) -> str:
     head = [f"# {row['title']}", row["recorded"], f"Source: {row['source']} (../../NOTICES.txt)."]
     if "alone" in row:
         head[-1] = f"Source: {row['source']}."
-        lines = row.get("commands") or [shlex.join(["sdpid", *command(row, row["logs"])])]
-        body = ["## No numbers, the recipe alone", row["alone"], _code(*lines)]
+        body = ["## No numbers, the recipe alone", row["alone"], _code(*row["commands"])]
         return _joined([*head, *body])
     folder = HERE / name / "identified"
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
