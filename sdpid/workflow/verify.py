@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import CertificateError
 from sdpid.output.robots.friction_files import NAMES as FRICTION_FILES
-from sdpid.robot.description.catalog import results_folder
+from sdpid.robot.description.catalog import identified_robots, results_folder
 from sdpid.verifier import certificate, manifest, tables
 from sdpid.verifier.command import check_path
 from sdpid.verifier.folder import CERTIFICATE, ELSEWHERE
@@ -166,7 +166,10 @@ def verify(
     try:
         result, sha256, claims = check_path(path)
     except OSError as cause:
-        raise CertificateError(f"cannot read {cause.filename or path}: {cause.strerror}.") from None
+        known = "" if path.exists() else f"; identified robots: {', '.join(identified_robots())}"
+        raise CertificateError(
+            f"cannot read {cause.filename or path}: {cause.strerror}{known}."
+        ) from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
     log, folder = None, path

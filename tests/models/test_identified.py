@@ -105,6 +105,8 @@ def test_pages_say_what_the_files_say() -> None:
 def test_names_are_told_where_there_is_none() -> None:
     with pytest.raises(sdpid.errors.DataError, match="panda_identified"):
         sdpid.load("nobody")
+    with pytest.raises(sdpid.errors.CertificateError, match=r"nobody: No such .*panda_identified"):
+        sdpid.verify("nobody")
 
 
 @pytest.mark.parametrize("name", sorted(ROBOTS.keys() - OF_LAW))
