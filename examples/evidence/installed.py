@@ -40,7 +40,7 @@ EXTRAS = {
     "ros": "ROS bags",
     "yaml": "parameters as YAML",
     "report": "report.html, the page of a plan",
-    "fast": "simulation of arms under their controller; faster kernels",
+    "fast": "simulation of arms under their controller; rollouts in seconds, not minutes",
     "excite": "planned motions",
     "dask": "the workers of a cluster",
     "xacro": "xacro files",

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         "--validation LOG ...": "Another recording, which is predicted only. May be repeated.",
         "--folds N": "Cross-validate: hold out N blocks of the logs in turn.",
         "--rollout": "Simulate the first --validation recording in open loop too; takes "
-        "seconds, a minute without Numba.",
+        "seconds, many minutes without Numba.",
         "--intervals/--no-intervals = on": "Compute confidence intervals of the parameters.",
         "--interval-method gauss_markov|profile|bootstrap = gauss_markov": "Method for the "
         "intervals; profile respects the constraints and takes some seconds.",
@@ -86,6 +86,7 @@ def identify(given: Given) -> None:
         told = [] if result.elasticity is None else [result.elasticity.in_words()]
         lines = [*result.headline.lines, *told]
         given.show(None, "\n".join(printable(line) for line in lines))
+    known = len(notes)
     saved = result.save(
         out,
         figures=given.figures,
@@ -102,10 +103,12 @@ def identify(given: Given) -> None:
     if given.verbose:
         details = _details(result, notes, saved)
     else:
-        details = [
-            f"written to {out}: {', '.join(path.name for path in saved)}\n"
-            f"{len(notes)} notes on choices: with -v, and in result.json"
+        lines = [
+            f"written to {out}: {', '.join(path.name for path in saved)}",
+            *(each for each in notes[known:] if each.startswith("no ")),
+            f"{len(notes)} notes on choices: with -v, and in result.json",
         ]
+        details = ["\n".join(lines)]
     details[0] = f"\n{details[0]}"
     given.show(content, *details)
     certificate = result.certificate
