@@ -195,7 +195,9 @@ def main(methods: Mapping[str, Method], libraries: tuple[str, ...] = ()) -> None
     versions = {"python": platform.python_version()}
     for library in (*libraries, "numpy"):
         with contextlib.suppress(PackageNotFoundError):
-            versions[library] = version(library)
+            # What runs; a checkout may be newer than what is installed.
+            loaded = sys.modules.get(library)
+            versions[library] = getattr(loaded, "__version__", None) or version(library)
     said: dict[str, Any] = {"versions": versions, "failure": "", "status": ""}
     try:
         if name not in methods:
