@@ -42,6 +42,7 @@ from sdpid.experiment.preparation.prepare import (
 )
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.friction.position import Spring
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
@@ -103,8 +104,8 @@ class Formulation:
         if isinstance(prior, (bool, np.bool_)):
             prior = Prior() if prior else None
         given = friction_of(prepared.logs[0], self.friction)
-        held = {getattr(each, "joint", None) for each in given}
-        given += tuple(each for each in robot.springs if getattr(each, "joint", None) not in held)
+        anew = {each.joint for each in given if isinstance(each, Spring)}
+        given += tuple(each for each in robot.springs if getattr(each, "joint", None) not in anew)
 
         def build(terms: tuple[str | FrictionTerm, ...]) -> Problem:
             return build_problem(

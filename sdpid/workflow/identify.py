@@ -54,6 +54,10 @@ MADE_OF_LAW = ("coulomb", "viscous", "rotor_inertia")
 
 # A law gives efforts their sign. At another delay than the drives' they only seem to push.
 _NOT_OF_LAW = ("effort_sign", "position_sign")
+_MEASURED_TOO = (
+    "the log has efforts as well: the law's take their place; leave the law out to fit those that "
+    "were measured"
+)
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
 # six and seven joints; Gauss-Markov intervals take some 0.1 s.
@@ -323,6 +327,8 @@ def _under_law(
     matched, fresh = ([match_joints(model, x) for x in each] for each in (logs, others))
     delay = USUAL_DELAY if law.delay is None else law.delay
     first, notes = first_law(matched, law, model, delay)
+    if any("effort" in each.channels for each in matched):
+        notes = (*notes, _MEASURED_TOO)
     made, seen = ([with_efforts_of_law(x, first, delay) for x in each] for each in (matched, fresh))
     prepared = formulation.prepare(model, made, **options)
     kept = tuple(each for each in prepared.findings if each.kind not in _NOT_OF_LAW)

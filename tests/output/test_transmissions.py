@@ -264,6 +264,9 @@ def test_springs_of_a_description_are_known(tmp_path: Path, stiffness: str):
     assert any("springs of the description" in each for each in result.notes)
     sdpid.write_mjcf(result.estimate, target=tmp_path / "b.xml", source=file)
     assert sdpid.load_robot(tmp_path / "b.xml").springs == robot.springs
+    hysteresis = Hysteresis("a", (0.1,))
+    beside = sdpid.identify(robot, log, friction=(hysteresis,), effects="none", intervals=False)
+    assert beside.problem.friction.terms == (hysteresis, *robot.springs)
     free = Spring("a", rest=0.2, polynomial=robot.springs[0].polynomial)
     anew = sdpid.identify(robot, log, friction=("viscous", free), effects="none", intervals=False)
     assert anew.estimate.named_theta()["K1"] == pytest.approx(30.0, rel=0.02)

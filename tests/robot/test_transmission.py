@@ -130,6 +130,8 @@ REFUSED = [
     (lambda: sdpid.Transmission(WRIST, [0.0]), "offset has 1 numbers for 2 rows"),
     (lambda: sdpid.Transmission(WRIST, names=("a", "a")), "names are a, a; give 2 names"),
     (lambda: sdpid.Transmission(WRIST, joints=("a",)), "joints are a; give 2 names"),
+    (lambda: sdpid.Transmission(WRIST, names=(1, 2)), "names are 1, 2; give 2 names"),
+    (of(joints={5: {"a": 1.0}}), "joints are 5; give 1 names"),
     (lambda: sdpid.Transmission([[np.nan]]), "transmission: matrix"),
     (
         lambda: sdpid.load_robot("denso_vp6242", transmission=sdpid.Transmission(WRIST)),

@@ -14,7 +14,7 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError
-from sdpid.experiment.simulation.law import CommandedMotion
+from sdpid.experiment.simulation.law import CommandedMotion, law_of
 from sdpid.output.robots.drive_files import NAMES, bam, isaaclab, mjlab, write_drives
 from sdpid.output.robots.export_report import given_up
 from sdpid.output.samples.drive_draws import draw_drives, truncated_normal
@@ -33,6 +33,7 @@ from tests.estimation.test_positions import (
 )
 from tests.helpers import world
 from tests.helpers.commands import run
+from tests.helpers.refusals import refuses
 
 PD = sdpid.controllers.PD
 LAW = PD(kp=KP, kd=KD)
@@ -71,10 +72,10 @@ def test_stiff_drives_without_a_delay_are_found(legs):
     motion = rollout.run(drives(armature=0.05, **stiff), np.stack([command[0], np.zeros(N)]))
     position = rollout.positions(motion)
     position += 1e-5 * np.random.default_rng(0).standard_normal(position.shape)
-    log = sdpid.Recording(
-        time=time, position=position, reference=command, joint_names=robot.joint_names
-    )
+    columns = {"position": position, "effort": position, "reference": command}
+    log = sdpid.Recording(time=time, **columns, joint_names=robot.joint_names)
     found = sdpid.identify(robot, log, law=PD(**stiff), intervals=False)
+    assert [note for note in found.notes if "the log has efforts as well" in note]
     assert found.drives.delay < 1e-5
     np.testing.assert_allclose(found.drives.rich["armature"], 0.05, rtol=0.05)
     assert not [each for each in found.findings if each.kind == "effort_sign"]
@@ -208,9 +209,10 @@ kd = "1"
 delay = 0.005
 for = "isaac"
 """
+JOINTS = ("lhip", "lknee", "rhip", "rknee")
 SERVOS = "".join(
     f'<general joint="{joint}" gainprm="20" biastype="affine" biasprm="0 -20 -1"/>'
-    for joint in ("lhip", "lknee", "rhip", "rknee")
+    for joint in JOINTS
 )
 
 
@@ -237,6 +239,35 @@ def test_command(legs, files, tmp_path, name, text, options):
     assert told["law"]["kd"] == [KD] * N
     assert told["law"]["target"] == ("isaac" if name == "run.toml" else "mujoco")
     assert 'id="drives"' in (tmp_path / "o" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("joint", "actuators", "says"),
+    [
+        ("", '<position joint="{}" kp="20" forcerange="-9 9"/>', 9.0),
+        ('actuatorfrcrange="-5 5"', '<position joint="{}" kp="20" forcerange="-9 9"/>', 5.0),
+        ('actuatorfrcrange="-5 5"', '<position joint="{}" kp="20" gear="-2"/>', 5.0),
+        ("", '<position joint="{}" kp="20" timeconst="0.1"/>', "or filters its command"),
+        ("", '<position tendon="{}" kp="20"/>', "no position servo at a joint"),
+        ("", '<motor joint="{}"/>', "no position servo at a joint"),
+    ],
+)
+def test_limits_and_filters_of_actuators(legs, tmp_path, joint, actuators, says):
+    robot = sdpid.load_robot(legs[0])
+    text = legs[0].read_text()
+    tendons = "".join(
+        f'<fixed name="{name}"><joint joint="{name}" coef="2"/></fixed>' for name in JOINTS
+    )
+    own = "".join(actuators.format(name) for name in JOINTS)
+    text = text.replace("<joint ", f"<joint {joint} ").replace(
+        "</mujoco>", f"<tendon>{tendons}</tendon><actuator>{own}</actuator></mujoco>"
+    )
+    (tmp_path / "servos.xml").write_text(text)
+    if isinstance(says, str):
+        refuses(DataError, says, law_of, str(tmp_path / "servos.xml"), robot, {})
+        return
+    law = law_of(str(tmp_path / "servos.xml"), robot, {})
+    np.testing.assert_allclose(law.limit, [says] * N)
 
 
 @pytest.mark.parametrize(

@@ -235,9 +235,11 @@ class FittedDrives(Shown):
             text = "not proven: found by a local search from one start"
         if self.remaining is None:
             return text
+        # One digit, without a power of ten.
+        percent = float(f"{100.0 * self.remaining:.1g}")
         return (
             f"{text}, about which no possible links lower the linearized cost by more than "
-            f"{100.0 * self.remaining:.1g} % (a bound by duality)"
+            f"{percent:g} % (a bound by duality)"
         )
 
     @property

@@ -273,12 +273,23 @@ def _of_actuators(path: Path) -> dict[str, Any]:
     found: dict[str, dict[str, float]] = {"kp": {}, "kd": {}, "limit": {}}
     for k in range(model.nu):
         gain, bias = model.actuator_gainprm[k], model.actuator_biasprm[k]
-        if gain[0] <= 0.0 or bias[1] != -gain[0]:
-            raise DataError(f"{path}: actuator {k + 1} is no position servo; give --law pd.")
-        joint, gear = model.joint(model.actuator_trnid[k, 0]).name, model.actuator_gear[k, 0]
+        # Zero: at a joint, without a filter.
+        plain = model.actuator_trntype[k] == 0 and model.actuator_dyntype[k] == 0
+        if not plain or gain[0] <= 0.0 or bias[1] != -gain[0]:
+            raise DataError(
+                f"{path}: actuator {k + 1} is no position servo at a joint, or filters its "
+                "command; give --law pd."
+            )
+        number = model.actuator_trnid[k, 0]
+        joint, gear = model.joint(number).name, model.actuator_gear[k, 0]
         found["kp"][joint], found["kd"][joint] = gear**2 * gain[0], -(gear**2) * bias[2]
+        limits = []
         if model.actuator_forcelimited[k]:
-            found["limit"][joint] = gear * model.actuator_forcerange[k, 1]
+            limits.append(abs(gear) * model.actuator_forcerange[k, 1])
+        if model.jnt_actfrclimited[number]:
+            limits.append(model.jnt_actfrcrange[number, 1])
+        if limits:
+            found["limit"][joint] = min(limits)
     if not found["kp"]:
         raise DataError(f"{path}: has no actuators; give --law pd --kp ... --kd ...")
     return {name: values for name, values in found.items() if values}

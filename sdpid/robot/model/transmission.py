@@ -87,7 +87,10 @@ class Transmission(Shown):
                 f"transmission: offset has {len(shift)} numbers for {rows} rows; give one each."
             )
         for what, given, count in (("names", motors, columns), ("joints", joints, rows)):
-            if given is not None and (len(given) != count or len(set(given)) != count):
+            if given is None:
+                continue
+            strings = all(isinstance(each, str) for each in given)
+            if not strings or len(given) != count or len(set(given)) != count:
                 raise ModelError(
                     f"transmission: {what} are {', '.join(map(str, given))}; give {count} names, "
                     "all different."
