@@ -22,7 +22,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import weights_and_shares
-from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
+from sdpid.experiment.plant.legged.model import LeggedModel, MotorGears, build_legged
 from sdpid.experiment.plant.legged.simulate import simulate_legged
 from sdpid.experiment.plant.legged.truth import TrueMotion
 from sdpid.experiment.processing.contact_samples import ContactSamples, Kind
@@ -46,7 +46,14 @@ class Beside:
         self.legs: Legs = find_legs(self.robot)
         run = simulate_legged(self.robot, motion, duration=seconds, seed=1)
         self.theta = run.theta[: 10 * self.robot.n_links]
-        built = build_legged(self.legs, run.theta, held=False, timestep=1e-3, start=np.zeros(6))
+        built = build_legged(
+            self.legs,
+            MotorGears.of(self.robot),
+            run.theta,
+            held=False,
+            timestep=1e-3,
+            start=np.zeros(6),
+        )
         if turning:
             # Torques about all three axes as well.
             built.model.geom_condim[:] = 6

@@ -113,12 +113,12 @@ class StandingTask:
         """
         robot, grip = request.robot, request.grip
         _check(request)
+        legs = find_legs(robot, feet=request.feet, standing=request.standing)
         if not robot.direct:
             raise ModelError(
                 f"excitation of '{robot.name}': motions of standing robots are those of joints; "
                 "plan without its transmission."
             )
-        legs = find_legs(robot, feet=request.feet, standing=request.standing)
         if not np.all(robot.prior[:, 0] >= 0.0) or not robot.prior[:, 0].sum() > 0.0:
             raise ModelError(
                 f"excitation of '{robot.name}': the description has no masses, so that nobody "
