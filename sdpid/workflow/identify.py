@@ -326,9 +326,8 @@ def _under_law(
     others = () if validation is None else read_logs(model, validation, "validation")[1]
     matched, fresh = ([match_joints(model, x) for x in each] for each in (logs, others))
     delay = USUAL_DELAY if law.delay is None else law.delay
-    first, notes = first_law(matched, law, model, delay)
-    if any("effort" in each.channels for each in matched):
-        notes = (*notes, _MEASURED_TOO)
+    first = first_law(matched, law, model, delay)
+    notes = [_MEASURED_TOO] if any("effort" in each.channels for each in matched) else []
     made, seen = ([with_efforts_of_law(x, first, delay) for x in each] for each in (matched, fresh))
     prepared = formulation.prepare(model, made, **options)
     kept = tuple(each for each in prepared.findings if each.kind not in _NOT_OF_LAW)

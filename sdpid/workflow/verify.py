@@ -166,9 +166,9 @@ def verify(
     try:
         result, sha256, claims = check_path(path)
     except OSError as cause:
-        known = "" if path.exists() else f"; identified robots: {', '.join(identified_robots())}"
+        words = "" if path.exists() else f"; identified robots: {', '.join(identified_robots())}"
         raise CertificateError(
-            f"cannot read {cause.filename or path}: {cause.strerror}{known}."
+            f"cannot read {cause.filename or path}: {cause.strerror}{words}."
         ) from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None

@@ -148,7 +148,9 @@ REFUSED = [
     ),
     (lambda: Spring("joint_2", stiffness=-1.0), "stiffness is -1.0, the least is 0"),
     (lambda: Spring("joint_2", rest=np.inf), "rest is inf; give a finite number"),
+    (lambda: Spring("joint_2", stiffness="5"), "stiffness is '5'; give a finite number"),  # type: ignore[arg-type]
     (lambda: Hysteresis("joint_2", (0.1, 0.0)), "slips are .*; give positive numbers"),
+    (lambda: Hysteresis("joint_2", 0.1), "slips are 0.1; give positive numbers"),  # type: ignore[arg-type]
     (lambda: PositionTerm(((0.0, 0.0), (1.0, 2.0)), "c", joint="joint_2"), "do not rise"),
     (lambda: PositionTerm("sin", "c", joint="joint_2"), "give a function of positions, or two"),
     (lambda: AtJoints(Spring("joint_2"), ("joint_2",)), "is no term of several joints"),

@@ -178,7 +178,8 @@ def test_a_wrong_law_is_named(legs, law, words):
 
 def test_kp_is_found_as_masses_tell(legs):
     found = sdpid.identify(*legs, law=PD(kp=None, kd=KD))
-    assert "masses" in found.notes[0]
+    (warning,) = found.headline.warnings
+    assert "masses: they alone fix the scale of kp (" in warning
     np.testing.assert_allclose(found.drives.rich["kp"], KP, rtol=0.2)
 
 
@@ -277,6 +278,7 @@ def test_limits_and_filters_of_actuators(legs, tmp_path, joint, actuators, says)
         ("", ["--kp", "20"], "--kp: is of a law; give --law pd"),
         ("", ["--law", "pd", "--kp", "20"], "kd is missing"),
         ("", ["--law", "nowhere.toml"], "is no file, and no law but pd is known"),
+        ('kd = 1\ndelay = "5"\n', ["--law", "{file}"], "delay is '5'; give seconds from 0 to 0.1"),
         ("kp = 20\nki = 3\n", ["--law", "{file}"], "ki is unknown; there are kp, kd, delay"),
         ("[kp]\nlhip = 20\n", ["--law", "{file}"], "kp has not the joints of"),
         ("kd = [1, 1, 1]\n", ["--law", "{file}"], "gains of 3 joints, the robot has 4"),

@@ -286,10 +286,16 @@ class FittedDrives(Shown):
         armature, damping = (1e-3 * float(np.mean(x)) for x in slopes)
         # A number at its bound has no deviation.
         ratios = [part / own for _, own, part in self.sharp().values() if min(own, part) > 0.0]
-        return (
+        sharper = float(np.median(ratios or [1.0]))
+        text = (
             f"with each ms armature changes by {armature:+.2g} kg.m2 and damping by {damping:+.2g} "
-            "N.m.s/rad; friction + (damping + kp*delay)*v is known "
-            f"{float(np.median(ratios or [1.0])):.1f} times better than damping alone"
+            "N.m.s/rad"
+        )
+        if sharper <= 1.0:
+            return text
+        return (
+            f"{text}; friction + (damping + kp*delay)*v is known {sharper:.1f} times better than "
+            "damping alone"
         )
 
     @property
@@ -517,10 +523,8 @@ def fit_law(
     )
 
 
-def first_law(
-    logs: Sequence[Recording], law: PD, robot: RobotModel, delay: float
-) -> tuple[PD, tuple[str, ...]]:
-    """Return a law with numbers to begin with, and a warning where kp is to be found.
+def first_law(logs: Sequence[Recording], law: PD, robot: RobotModel, delay: float) -> PD:
+    """Return a law with numbers to begin with.
 
     The described links need efforts, which are kp times the error of position less kd times the
     velocity, friction and the rotors' inertia: nonnegative least squares, joint by joint.
@@ -533,7 +537,7 @@ def first_law(
     from scipy.optimize import nnls
 
     if law.kp is not None:
-        return law, ()
+        return law
     if not np.any(robot.prior[:, 0] > 0.0):
         raise DataError(
             f"law: kp is to be found, and nothing but masses tells its scale; '{robot.name}' has "
@@ -554,10 +558,7 @@ def first_law(
             f"law: kp of {robot.joint_names[j]} cannot be found: the described links do not push "
             "against its error of position; give kp."
         )
-    return replace(law, kp=np.array(found), effort_limit=None), (
-        "kp is found, and with it every effort, friction and inertia, only as well as the "
-        "description's masses are: they alone fix the scale. Give kp where it is known",
-    )
+    return replace(law, kp=np.array(found), effort_limit=None)
 
 
 def _delay_interval(
@@ -649,7 +650,7 @@ def _too_heavy(
     if law.kp is None:
         return
     try:
-        found = first_law(logs, replace(law, kp=None), robot, delay)[0].gains.proportional
+        found = first_law(logs, replace(law, kp=None), robot, delay).gains.proportional
     except DataError:
         return
     times = float(np.median(law.gains.proportional / found))

@@ -349,16 +349,18 @@ class PD(JointLaw):
     def __post_init__(self) -> None:
         limit = self.effort_limit if self.limit is None else self.limit
         named = {"kp": self.kp, "kd": self.kd, "effort_limit": limit}
-        given = {name: x for name, x in named.items() if x is not None}
-        count = max((np.size(x) for x in given.values()), default=1)
-        for name, x in given.items():
+        numbers = {name: x for name, x in named.items() if x is not None}
+        count = max((np.size(x) for x in numbers.values()), default=1)
+        for name, x in numbers.items():
             # A number is that of every joint.
             object.__setattr__(self, name, np.full(count, x) if np.ndim(x) == 0 else x)
         super().__post_init__()
         object.__setattr__(self, "limit", self.effort_limit)
         if self.delay is None:
             return
-        if not 0.0 <= float(self.delay) <= _LONGEST_DELAY:
+        given: Any = self.delay
+        number = isinstance(given, int | float) and not isinstance(given, bool)
+        if not number or not 0.0 <= given <= _LONGEST_DELAY:
             raise DataError(
                 f"PD: delay is {self.delay!r}; give seconds from 0 to {_LONGEST_DELAY:g}, or None "
                 "where it is to be found."

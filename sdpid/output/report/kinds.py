@@ -66,6 +66,9 @@ KINDS: dict[Level, dict[str, str]] = {
         "these parameters. Use a prior, or a richer motion.",
         "unproven": "It is not proven to be the best fit: {why}",
         "law_contradicted": "The law does not suit the log: {words}.",
+        "kp_found": "kp is found, {low:.3g} to {high:.3g}, and with it every effort, friction and "
+        "inertia, only as well as the description's masses are: they alone fix the scale. Give kp "
+        "where it is known.",
     },
     "caution": {
         "effort_unshown": "Not shown on other motion: {names:all}. In brackets: share of the "
@@ -170,6 +173,8 @@ WARNINGS = {
     "limit_contradicts": "keep the numerical limit of {names}: it contradicts the data",
     "limit_alone": "read {names}: nothing but a numerical limit holds them",
     "law_contradicted": "trust the drives: {words}",
+    "kp_found": "trust the drives beyond the description's masses: they alone fix the scale of kp "
+    "({low:.3g} to {high:.3g} found) and of every effort, friction and inertia",
     "unproven": "call it the best fit: that is not proven",
 }
 

@@ -471,6 +471,9 @@ def positions(of: VerdictSubject) -> Iterator[VerdictFinding]:
             "proof": drives.proof,
         }
         yield found("positions", target=drives.target, **words)
+        if "kp" in drives.kinds:
+            kp = drives.rich["kp"]
+            yield found("kp_found", low=float(kp.min()), high=float(kp.max()))
         for each in drives.warnings:
             yield found("law_contradicted", words=each)
 

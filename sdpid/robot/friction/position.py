@@ -133,7 +133,7 @@ class Spring(OneJoint):
     def __post_init__(self) -> None:
         for name in ("stiffness", "rest"):
             value = getattr(self, name)
-            if value is not None and not np.isfinite(value):
+            if value is not None and not (isinstance(value, int | float) and np.isfinite(value)):
                 raise ModelError(f"Spring: {name} is {value!r:.80}; give a finite number.")
         object.__setattr__(self, "polynomial", tuple(self.polynomial))
         bent = self.polynomial
@@ -301,7 +301,9 @@ class Hysteresis(OneJoint):
     slips: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        if not self.slips or not all(np.isfinite(slip) and slip > 0.0 for slip in self.slips):
+        given: Any = self.slips
+        slips = given if isinstance(given, Sequence) else ()
+        if not slips or not all(isinstance(s, int | float) and 0.0 < s < np.inf for s in slips):
             raise ModelError(f"Hysteresis: slips are {self.slips!r:.80}; give positive numbers.")
 
     def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
