@@ -23,6 +23,7 @@ from sdpid.friction import (
     Spring,
     Viscous,
 )
+from sdpid.output.robots.friction_files import write_friction
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.terms import term_from_dict, term_to_dict
 from sdpid.robot.model.base_parameters import generic_states
@@ -330,6 +331,10 @@ def test_what_has_no_place_is_told(tmp_path: Path):
     report = sdpid.write_mjcf(slack, target=tmp_path / "b.xml")
     assert "no place for the spring of joint_4: its stiffness is zero" in report.describe()
     assert "joint_4, joint_5" in described(WRIST)._repr_html_()
+    for file in (tmp_path / "a.py", tmp_path / "a.hpp"):
+        (told,) = write_friction(estimate, file)
+        assert "not in it: AtJoints, Spring; take" in told
+        assert "behind a transmission): AtJoints, Spring." in file.read_text()
 
 
 def test_a_spring_that_the_motion_hides_is_named(tmp_path: Path):

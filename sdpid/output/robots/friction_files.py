@@ -136,7 +136,15 @@ Not in it is the tilt of the base that was identified: turn gravity to have it.
 
 def _about(data: Mapping[str, Any], more: str) -> list[str]:
     """Return the lines of what a file is."""
-    return f"{_ABOUT}{_TILT if 'Tilt' in data['left_out'] else ''}\n{more}".splitlines()
+    tilt = _TILT if Tilt.__name__ in data["left_out"] else ""
+    others = _others(data)
+    lacks = f"\nNot in it (of positions, or behind a transmission): {', '.join(others)}.\n"
+    return f"{_ABOUT}{tilt}{lacks if others else ''}\n{more}".splitlines()
+
+
+def _others(data: Mapping[str, Any]) -> list[str]:
+    """Return the terms that a file lacks, but for a tilt."""
+    return [each for each in dict.fromkeys(data["left_out"]) if each != Tilt.__name__]
 
 
 def python(data: Mapping[str, Any]) -> str:
@@ -344,7 +352,7 @@ def write_friction(
             f"{path.stem}: the tilt of the base is not in it, since gravity is the links': take "
             f"({gravity}) m/s² as gravity in the base",
         )
-    if others := [each for each in dict.fromkeys(data["left_out"]) if each != Tilt.__name__]:
+    if others := _others(data):
         missing += (
             f"{path.stem}: terms of positions and of joints behind a transmission are not in it: "
             f"{', '.join(others)}; take estimate.model()",
