@@ -491,6 +491,11 @@ def test_references_are_found_and_what_may_be_something_else_is_left_out(
     assert (reading.recording.reference is None) == (wanted is None)
     assert wanted is not None or ("reference" in reading.sources) == (why is not None)
     assert why is None or why in reading.sources["reference"]
+    if why is not None:
+        arrays = pd.read_csv(file).drop(columns=names[2:4])
+        refuses(
+            DataError, f"effort is missing: .* They were left out: .*{why}", read_recording, arrays
+        )
     if wanted is not None:
         np.testing.assert_allclose(reading.recording.reference, wanted, rtol=1e-15)
     elif names[:4] == PLAIN and not how:

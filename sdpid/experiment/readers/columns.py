@@ -288,8 +288,11 @@ class Columns:
             f"columns: {what} for {quantity} is not there{more}; found: {_list(self._arrays)}."
         )
 
-    def missing(self, quantity: str) -> DataError:
-        """Return the error that a quantity was not found, and what was."""
+    def missing(self, quantity: str, command: str | None = None) -> DataError:
+        """Return the error that a quantity was not found, and what was.
+
+        `command` is why commanded positions were left out, if they were.
+        """
         if self._table.unnamed:
             return DataError(
                 f"its {len(self._arrays)} columns have no names: the first line must "
@@ -302,6 +305,7 @@ class Columns:
                 " Without a torque sensor, commanded positions and the law of the drives serve as "
                 "well (--law pd --kp 20 --kd 1.5, law=): name them with columns={'reference': ...}."
             )
+            hint += "" if command is None else f" They were left out: {command}."
         currents = [name for name, plain in self._plain.items() if _CURRENT.fullmatch(plain)]
         if quantity == "effort" and currents:
             hint = (

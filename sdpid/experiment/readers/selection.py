@@ -101,7 +101,7 @@ def select(file: Path, table: LogTable, how: Arguments) -> Selection:
             raise log.missing(quantity)
     if not {"effort", "reference"} & found.tables.keys():
         if not how.without_effort:
-            raise log.missing("effort")
+            raise log.missing("effort", found.left_out.get("reference"))
         # No value of any joint: those that are named need none.
         found.tables["effort"] = np.full(found.tables["position"].shape, np.nan)
     _align(found, CHANNELS)
