@@ -14,18 +14,20 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from elastic_arms import AXES, STEEP, drawn, summary
+from elastic_arms import AXES, drawn, summary
 from study import Rows, Study
 
 import sdpid
 from sdpid import friction as terms
 from sdpid._common.arrays import Array
 
-RATE, STEPS, SECONDS = 250.0, 4, 30.0
+RATE, STEPS, SECONDS = 250.0, 16, 30.0
 # Noise of encoders, rad, of 19 bits and of 17, and of efforts as a share of their rms.
 NOISES, EFFORT_NOISE = (1e-5, 3e-5), 5e-3
 DRY, VISCOUS = 0.5, 0.8
-DRAG = f'damping="{VISCOUS}" frictionloss="{DRY}" {STEEP}'
+# MuJoCo's dry friction sets in over a time, of which two steps are the least that it takes.
+SHARP = f'solreffriction="{2.0 / (RATE * STEPS)} 1" solimpfriction="0.9999 0.9999 0.001"'
+DRAG = f'damping="{VISCOUS}" frictionloss="{DRY}" {SHARP}'
 # A loop that hardly opens; its joints without motors have no friction.
 PIN = '<connect body1="rod" body2="foot" anchor="0.05 0 -0.28" solref="0.002 1"/>'
 WRIST = [[0.5, 0.5], [0.5, -0.5]]
