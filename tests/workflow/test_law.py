@@ -6,6 +6,7 @@ import ast
 import json
 from dataclasses import replace
 from functools import partial
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.simulation.law import CommandedMotion, law_of
+from sdpid.output.robots import drive_files
 from sdpid.output.robots.drive_files import NAMES, bam, isaaclab, mjlab, write_drives
 from sdpid.output.robots.export_report import given_up
 from sdpid.output.samples.drive_draws import draw_drives, truncated_normal
@@ -364,6 +366,14 @@ def test_files_to_paste(result, tmp_path):
         assert given.pop("target_names_expr") == (joint,)
         assert (given.pop("delay_min_lag"), given.pop("delay_max_lag")) == ("steps", "steps")
         assert given == {field: own[kind][j] for field, kind in fields.items()}
+    # MuJoCo's servos are the law.
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "o" / "drives_mujoco.xml"))
+    data, q, v, wanted = mujoco.MjData(model), *np.random.default_rng(0).uniform(-1, 1, (3, N))
+    data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, wanted
+    mujoco.mj_forward(model, data)
+    expected = own["kp"] * (wanted - q) - own["kd"] * v
+    np.testing.assert_allclose(data.qfrc_actuator, expected, rtol=1e-9)
+    assert repr(fit.delay) in text["drives_mujoco.xml"]
     motors = json.loads(text["drives_bam.json"])
     for joint, motor in motors.items():
         names = {"armature": "armature", "friction_base": "friction", "friction_viscous": "damping"}
@@ -394,6 +404,9 @@ def test_blocks_of_odd_names_and_limits(result, tmp_path):
     assert [*implicit["effort_limit_sim"].values()] == [1.0, 2.0, 3.0, 4.0]
     assert delayed["effort_limit"] == implicit["effort_limit_sim"]
     assert [given["effort_limit"] for _, given in calls(mjlab(fit))[1]] == [1.0, 2.0, 3.0, 4.0]
+    servos = ElementTree.fromstring(drive_files.mujoco(fit)).findall("actuator/position")
+    assert [servo.get("joint") for servo in servos] == [*odd]
+    assert [servo.get("forcerange") for servo in servos][:2] == ["-1.0 1.0", "-2.0 2.0"]
     assert [*json.loads(bam(fit))] == list(odd)
     for text in (isaaclab(fit), mjlab(fit), bam(fit)):
         assert text.isascii()

@@ -96,6 +96,26 @@ def mjlab(fit: FittedDrives) -> str:
     return "\n".join([*lines, ")", ""])
 
 
+def mujoco(fit: FittedDrives) -> str:
+    """Return an MJCF that adds the law's servos to identified.xml; the delay is the caller's."""
+    from lxml import etree
+
+    root = etree.Element("mujoco")
+    words = (
+        f"ctrl: commanded positions, {fit.delay!r} s after they were given. {fit.delay_in_words}"
+    )
+    root.append(etree.Comment(f" {words.replace('--', '-')} "))
+    etree.SubElement(root, "include", file="identified.xml")
+    servos = etree.SubElement(root, "actuator")
+    for joint, row in _numbers(fit).items():
+        servo = {"joint": joint, "kp": repr(row["kp"]), "kv": repr(row["kd"])}
+        if "limit" in row:
+            servo["forcerange"] = f"{-row['limit']!r} {row['limit']!r}"
+        etree.SubElement(servos, "position", servo)
+    etree.indent(root)
+    return etree.tostring(root, encoding="ascii").decode() + "\n"
+
+
 def bam(fit: FittedDrives) -> str:
     """Return a table by joint of parameters as BAM names them, of its model with Coulomb friction.
 
@@ -128,6 +148,7 @@ def table(fit: FittedDrives) -> Table:
 WRITERS: dict[str, Callable[[FittedDrives], str]] = {
     "drives_isaaclab.py": isaaclab,
     "drives_mjlab.py": mjlab,
+    "drives_mujoco.xml": mujoco,
     "drives_bam.json": bam,
 }
 _TABLE = "drives.csv"
