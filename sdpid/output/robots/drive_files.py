@@ -113,7 +113,7 @@ def mujoco(fit: FittedDrives) -> str:
             servo["forcerange"] = f"{-row['limit']!r} {row['limit']!r}"
         etree.SubElement(servos, "position", servo)
     etree.indent(root)
-    return etree.tostring(root, encoding="ascii").decode() + "\n"
+    return str(etree.tostring(root, encoding="ascii").decode()) + "\n"
 
 
 def bam(fit: FittedDrives) -> str:
