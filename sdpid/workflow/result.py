@@ -173,8 +173,9 @@ def save(
             _friction(result, stage, note)
             if result.drives is not None:
                 note(write_drives(result.drives, stage))
-            if result.drives is not None and not bare:
-                write_drive_draws(result.drives, stage / DRIVE_SAMPLES, stage / "identified.xml")
+                if not bare:
+                    mjcf = stage / "identified.xml"
+                    write_drive_draws(result.drives, stage / DRIVE_SAMPLES, mjcf)
             if figures:
                 _figures(result, stage)
             if not bare:

@@ -298,10 +298,13 @@ def of_position(attributes: Mapping[str, Any], factor: float, shift: float) -> d
 
 
 # What a term is in a file: an attribute of a joint's own, one of a joint behind a transmission, and
-# so on; nothing that is told, as a tilt.
-Role = Literal["held", "curve", "lost", "coupled", "offset", "bent", "behind", "spring", "told"]
+# so on; none, but a note elsewhere, as a tilt.
+Role = Literal["held", "curve", "lost", "coupled", "offset", "bent", "behind", "spring", "noted"]
 _ROLES: dict[type[FrictionTerm], Role] = {
-    **{PositionFriction: "bent", Coupling: "coupled", Spring: "spring", Tilt: "told"},
+    PositionFriction: "bent",
+    Coupling: "coupled",
+    Spring: "spring",
+    Tilt: "noted",
 }
 # Those that not every file has a place for, and those that have one beside the attributes.
 _ASKED = ("coupled", "offset", "bent", "spring")

@@ -149,19 +149,19 @@ class FrictionModel:
         out: list[dict[str, object]] = []
         for term in self.terms:
             own = [*fields(term)] if is_dataclass(term) else list[Any]()
-            plain = {each.name: _told(getattr(term, each.name)) for each in own}
+            plain = {each.name: _plain_setting(getattr(term, each.name)) for each in own}
             names = [p.name for p in term.parameters(self.joint_names)]
             out.append({"term": type(term).__name__, **plain, "parameters": names})
         return out
 
 
-def _told(value: object) -> object:
+def _plain_setting(value: object) -> object:
     """Return a setting of a term as plain values; functions by their names."""
     if isinstance(value, FrictionTerm):
         return repr(value)
     if callable(value):
         return getattr(value, "__name__", type(value).__name__)
-    return [_told(each) for each in value] if isinstance(value, tuple) else value
+    return [_plain_setting(each) for each in value] if isinstance(value, tuple) else value
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

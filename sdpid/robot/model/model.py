@@ -296,7 +296,7 @@ class RobotModel:
         factors : mapping
             Factors in the sum by names of Pinocchio's joints.
         """
-        rows = [self.tree_joints.index(name) for name in factors]
+        rows = [*map(self.tree_joints.index, factors)]
         values = np.array([*factors.values()])
         return values @ self.expansion[rows], float(values @ self.offset[rows])
 
