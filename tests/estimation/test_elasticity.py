@@ -132,6 +132,32 @@ def test_a_line_of_an_encoder_is_kept_where_recordings_that_are_left_out_keep_it
     assert two.errors(other)[:, 1].std() < 0.25 * one.errors(other)[:, 1].std()
 
 
+def test_a_curve_over_the_position_is_kept_and_ends_where_recordings_end():
+    one, two = found(1, curve=5e-3), found(1, 2, curve=5e-3)
+    assert one.terms == ((), (), ())
+    assert [[term.kind for term in terms] for terms in two.terms] == [[], ["position"], []]
+    other = log(7, curve=5e-3)
+    assert two.errors(other)[:, 1].std() < 0.25 * one.errors(other)[:, 1].std()
+    (term,) = two.terms[1]
+    links = np.concatenate([np.asarray(log(k, curve=5e-3).link_position)[:, 1] for k in (1, 2)])
+    low, high = term.numbers
+    assert links.min() <= low < high <= links.max()
+    outside = term.columns(np.array([low - 1.0, low, high, high + 1.0]), np.zeros(4))
+    np.testing.assert_allclose(outside[[0, 3]], outside[[1, 2]])
+
+
+def test_no_stiffness_is_given_that_recordings_which_are_left_out_do_not_confirm():
+    firm = STIFFNESS.copy()
+    firm[0] = np.inf
+    other = log(2, stiffness=firm)
+    two = sdpid.identify_elasticity(rigid(), [log(1), other], ROTORS)
+    assert np.isfinite(found(1).stiffness).tolist() == [True, True, False]
+    assert np.isfinite(two.stiffness).tolist() == [False, True, False]
+    # What the recordings say together has an interval that does not reach zero.
+    assert two.compliance[0] > 4.0 * two.compliance_error[0]
+    assert "none told of joint_1" in two.in_words()
+
+
 def test_rotors_that_the_motion_does_not_show_are_named():
     terms = ("coulomb", "viscous")
     plain = sdpid.identify(arm(), log(0), friction=terms, effects="none", intervals=False)

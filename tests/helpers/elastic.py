@@ -22,11 +22,18 @@ def arm() -> sdpid.RobotModel:
 
 
 def log(
-    seed: int, *, line: float = 0.0, noise: float = 2e-5, late: float = DELAY
+    seed: int,
+    *,
+    line: float = 0.0,
+    curve: float = 0.0,
+    noise: float = 2e-5,
+    late: float = DELAY,
+    stiffness: Array = STIFFNESS,
 ) -> sdpid.Recording:
     """Return a recording of gears that give way by the links' torque, links read late.
 
-    A line of 200 cycles a turn is an error of the second link's encoder.
+    A line of 200 cycles a turn is an error of the second link's encoder, as is a curve over its
+    position.
     """
     robot, rng = arm(), np.random.default_rng(seed)
     rates, phases = rng.uniform(1.0, 7.0, (3, 4)), rng.uniform(0.0, 6.0, (3, 4))
@@ -40,11 +47,12 @@ def log(
 
     def deflection(when: Array) -> Array:
         states = at(when), at(when, 1), at(when, 2)
-        return np.asarray(robot.inverse_dynamics(robot.prior, *states) / STIFFNESS)
+        return np.asarray(robot.inverse_dynamics(robot.prior, *states) / stiffness)
 
     motor = at(time) + rng.normal(0.0, noise, (len(time), 3))
     link = at(time - late) - deflection(time - late) + [0.01, 0.02, -0.01]
     link[:, 1] += line * np.sin(200.0 * link[:, 1])
+    link[:, 1] += curve * link[:, 1] ** 2
     link += rng.normal(0.0, noise, link.shape)
     states = at(time), at(time, 1), at(time, 2)
     effort = robot.inverse_dynamics(robot.prior, *states) + ROTORS * states[2] + 0.4 * states[1]
@@ -62,6 +70,6 @@ def rigid() -> Identification:
 
 
 @cache
-def found(*seeds: int, line: float = 0.0) -> Elasticity:
-    logs = [log(seed, line=line) for seed in seeds]
+def found(*seeds: int, line: float = 0.0, curve: float = 0.0) -> Elasticity:
+    logs = [log(seed, line=line, curve=curve) for seed in seeds]
     return sdpid.identify_elasticity(rigid(), logs, rotor_inertia=ROTORS)

@@ -44,13 +44,14 @@ _EXACT = 1e-4
 
 
 class _Model(NamedTuple):
-    """What is fitted: terms of every joint, and whether the joints share a delay.
+    """What is fitted: terms of every joint, whether they share a delay, and one gear that is stiff.
 
     The unknowns are the delays, then of every joint its compliance and the weights of its terms.
     """
 
     terms: tuple[tuple[DeflectionTerm, ...], ...]
     shared: bool = True
+    stiff: int | None = None
 
     @property
     def places(self) -> Indices:
@@ -76,6 +77,13 @@ class _Model(NamedTuple):
             for delay, (a, b) in zip(delays, pairwise(self.places), strict=True)
         ]
 
+    def within(self, groups: list[list[Run]]) -> _Model:
+        """Return the model with terms of the position for what these recordings show of it."""
+        links = [run.link for runs in groups for run in runs]
+        each = enumerate(self.terms)
+        terms = [tuple(term.within([q[:, j] for q in links]) for term in own) for j, own in each]
+        return self._replace(terms=tuple(terms))
+
     def weighted(self, x: Array) -> list[tuple[DeflectionTerm, ...]]:
         """Return the terms of every joint with their weights."""
         found = []
@@ -86,17 +94,43 @@ class _Model(NamedTuple):
         return found
 
 
-class _Solution(NamedTuple):
-    """Unknowns (k,): the best, those of no bounds, and the standard errors of these.
+class _Fit(NamedTuple):
+    """Unknowns (k,), the best and those of no bounds, their scale, and each joint's rows, weighted.
 
-    `freedom` is how many blocks of time, less one, tell each as well as all do where some tell more
-    than others (Satterthwaite).
+    `places` are those of a joint's unknowns among all.
     """
 
     best: Array
     free: Array
-    errors: Array
-    freedom: Array
+    scale: Array
+    rows: list[Array]
+    places: list[Indices]
+
+    def errors(self) -> tuple[Array, Array]:
+        """Return the standard errors of the unknowns without bounds, and their freedom, (k,).
+
+        Freedom is how many blocks of time, less one, tell each as well as all do where some tell
+        more than others (Satterthwaite).
+        """
+        # How far the unknowns move without each block of time, in which errors may be alike.
+        size = len(self.scale)
+        power, scores = np.zeros((BLOCKS, size, size)), np.zeros((BLOCKS, size))
+        for unknowns, table in zip(self.places, self.rows, strict=True):
+            missed = table[:, -1] - table[:, :-1] @ self.free[unknowns]
+            columns = np.array_split(table[:, :-1] / self.scale[unknowns], BLOCKS)
+            blocks = zip(columns, np.array_split(missed, BLOCKS), strict=True)
+            for k, (own, left) in enumerate(blocks):
+                power[k][np.ix_(unknowns, unknowns)] += own.T @ own
+                scores[k, unknowns] += own.T @ left
+        whole = power.sum(axis=0)
+        inverse = np.linalg.pinv(whole, hermitian=True)
+        told = np.einsum("ki,bij,jk->bk", inverse, power, inverse)
+        freedom = np.maximum(told.sum(axis=0) ** 2 / np.sum(told**2, axis=0) - 1.0, 1.0)
+        rest = whole - power
+        moved = np.einsum("bij,bj->bi", np.linalg.pinv(rest, hermitian=True), scores)
+        errors = np.sqrt((1.0 - 1.0 / BLOCKS) * np.sum(moved**2, axis=0)) / self.scale
+        # Few blocks may tell too little by chance: less than errors that have nothing in common.
+        return np.maximum(errors, np.sqrt(np.diag(inverse)) / self.scale), freedom
 
 
 def identify_elasticity(
@@ -134,9 +168,10 @@ def identify_elasticity(
     -----
     Intervals have a level of 95 %, from blocks of time, in which errors may be alike, and from the
     errors of the rigid robot. Where one holds a compliance of zero the stiffness may be infinite:
-    none is given. Hysteresis, polynomials of the position and a periodic line of the link's encoder
-    are kept only where they lower the error on whole recordings that are left out, so that a
-    single recording has none.
+    none is given, nor where recordings that are left out are explained as well without it.
+    Hysteresis, polynomials of the position and a periodic line of the link's encoder are kept only
+    where they lower the error on whole recordings that are left out, so that a single recording has
+    none. Outside of the positions that it was fitted to, a polynomial stays as at their end.
 
     Examples
     --------
@@ -170,8 +205,10 @@ def identify_elasticity(
         )
     model = _chosen(groups)
     fit, m = _fit(groups, model), model.places[:-1]
-    errors = np.hypot(fit.errors[m], _of_links(estimate, groups, fit.free[m], joints, identified))
-    low, high = fit.free[m] - (reach := student(fit.freedom[m]) * errors), fit.free[m] + reach
+    spread, freedom = fit.errors()
+    errors = np.hypot(spread[m], _of_links(estimate, groups, fit.free[m], joints, identified))
+    low, high = fit.free[m] - (reach := student(freedom[m]) * errors), fit.free[m] + reach
+    firm = (low > 0.0) & _confirmed(groups, model, model.delays(fit.best))
 
     def of_all(values: Array) -> Array:
         """Return values of all joints, NaN where there is one encoder only."""
@@ -181,12 +218,12 @@ def identify_elasticity(
 
     with np.errstate(divide="ignore"):
         inverse = 1.0 / np.stack([fit.best[m], high, low], axis=1)
-    stiffness = np.where(low[:, None] > 0.0, inverse, np.nan)
+    stiffness = np.where(firm[:, None], inverse, np.nan)
     terms = dict(zip(joints.tolist(), model.weighted(fit.best), strict=True))
     found = Elasticity(
         estimate=estimate,
         delay_s=of_all(model.delays(fit.best)),
-        delay_error_s=of_all(model.delays(fit.errors)),
+        delay_error_s=of_all(model.delays(spread)),
         compliance=of_all(fit.best[m]),
         compliance_error=of_all(errors),
         stiffness=of_all(stiffness[:, 0]),
@@ -270,6 +307,16 @@ def _chosen(groups: list[list[Run]]) -> _Model:
     return model
 
 
+def _confirmed(groups: list[list[Run]], model: _Model, delays: Array) -> Mask:
+    """Tell of which joints (m,) recordings that are left out keep the compliance."""
+    joints = range(len(model.terms))
+    if len(groups) == 1:
+        return np.ones(len(joints), dtype=bool)
+    error = _left_out(groups, model, delays)
+    stiff = [_left_out(groups, model._replace(stiff=j), delays) for j in joints]
+    return np.array([_is_better(error[:, j], stiff[j][:, j]) for j in joints])
+
+
 def _is_better(other: Array, error: Array) -> bool:
     """Tell whether errors (R, ...) of recordings that are left out fall in all, and enough."""
     enough = np.sum(other**2) <= (1.0 - _WORTH) ** 2 * np.sum(error**2)
@@ -280,8 +327,11 @@ def _left_out(groups: list[list[Run]], model: _Model, delays: Array | None = Non
     """Return the error (R, m) on each recording of what was fitted to the others."""
     errors = []
     for k, runs in enumerate(groups):
-        x = _fit([*groups[:k], *groups[k + 1 :]], model, delays).best
-        errors.append(_missed(_tables([runs], model, model.delays(x)), model.split(x)).std(axis=0))
+        kept = [*groups[:k], *groups[k + 1 :]]
+        fitted = model.within(kept)
+        x = _fit(kept, fitted, delays).best
+        tables = _tables([runs], fitted, fitted.delays(x))
+        errors.append(_missed(tables, fitted.split(x)).std(axis=0))
     return np.array(errors)
 
 
@@ -297,7 +347,8 @@ def _tables(groups: list[list[Run]], model: _Model, delays: Array) -> list[Array
             parts = []
             for run, velocity, torque in late:
                 more = [term.columns(run.link[:, j], torque[:, j]) for term in terms]
-                columns = (velocity[:, j], torque[:, j], *more, run.difference[:, j])
+                load = np.zeros_like(torque[:, j]) if j == model.stiff else torque[:, j]
+                columns = (velocity[:, j], load, *more, run.difference[:, j])
                 parts.append(np.column_stack(columns))
             table = np.concatenate(parts)
             found[j].append(table - table.mean(axis=0))
@@ -323,7 +374,7 @@ def _least(A: Array, y: Array, low: Array) -> tuple[Array, Array, Array]:
     return best / scale, free / scale, scale
 
 
-def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) -> _Solution:
+def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) -> _Fit:
     """Fit delays, compliances that are not negative, and weights, to recordings.
 
     Delays that are nearly right take fewer rounds.
@@ -345,27 +396,8 @@ def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) ->
         sizes = np.array([table[:, -1].std() for table in tables])
         left = _missed(tables, model.split(best)).std(axis=0)
         weight = 1.0 / np.maximum(left, _EXACT * sizes)
-    # How far the unknowns move without each block of time, in which errors may be alike.
-    power, scores = np.zeros((BLOCKS, len(scale), len(scale))), np.zeros((BLOCKS, len(scale)))
-    left = used * _missed(tables, model.split(free))
-    for j, (unknowns, table) in enumerate(zip(of, tables, strict=True)):
-        columns = used[j] * table[:, :-1] / scale[unknowns]
-        blocks = zip(
-            np.array_split(columns, BLOCKS), np.array_split(left[:, j], BLOCKS), strict=True
-        )
-        for k, (own, missed) in enumerate(blocks):
-            power[k][np.ix_(unknowns, unknowns)] += own.T @ own
-            scores[k, unknowns] += own.T @ missed
-    whole = power.sum(axis=0)
-    inverse = np.linalg.pinv(whole, hermitian=True)
-    told = np.einsum("ki,bij,jk->bk", inverse, power, inverse)
-    freedom = np.maximum(told.sum(axis=0) ** 2 / np.sum(told**2, axis=0) - 1.0, 1.0)
-    rest = whole - power
-    moved = np.einsum("bij,bj->bi", np.linalg.pinv(rest, hermitian=True), scores)
-    errors = np.sqrt((1.0 - 1.0 / BLOCKS) * np.sum(moved**2, axis=0)) / scale
-    # Few blocks may tell too little by chance: less than errors that have nothing in common.
-    errors = np.maximum(errors, np.sqrt(np.diag(inverse)) / scale)
-    return _Solution(best=best, free=free, errors=errors, freedom=freedom)
+    rows = [w * table for w, table in zip(used.tolist(), tables, strict=True)]
+    return _Fit(best=best, free=free, scale=scale, rows=rows, places=of)
 
 
 def _of_links(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,8 +30,8 @@ class DeflectionTerm:
     kind : str
         ``"line"`` (a periodic error of the link's encoder), ``"hysteresis"`` or ``"position"``.
     numbers : tuple of float
-        Cycles a turn of the line; torques (N·m) at which elements slip; middle and half length of
-        the range of positions.
+        Cycles a turn of the line; torques (N·m) at which elements slip; ends of the range of
+        positions that it was fitted to, outside of which it stays as at the nearer end.
     weights : ndarray, shape (k,)
         Of cosine and sine, rad; of the elements, rad/(N·m); of powers of the position, rad.
     """
@@ -47,8 +47,13 @@ class DeflectionTerm:
             return np.stack([np.cos(angle), np.sin(angle)], axis=1)
         if self.kind == "hysteresis":
             return np.stack([play(torque, slip) - torque for slip in self.numbers], axis=1)
-        middle, half = self.numbers
-        return np.stack([((link - middle) / half) ** power for power in _POWERS], axis=1)
+        low, high = self.numbers
+        part = (2.0 * np.clip(link, low, high) - low - high) / (high - low)
+        return np.stack([part**power for power in _POWERS], axis=1)
+
+    def within(self, links: list[Array]) -> DeflectionTerm:
+        """Return the term for these positions of the link only, where it is one of the position."""
+        return replace(self, numbers=_ends(links)) if self.kind == "position" else self
 
     @property
     def size(self) -> int:
@@ -70,14 +75,18 @@ def candidates(links: list[Array], torques: list[Array], left: list[Array]) -> l
         Of each recording the link's positions and torques, and what delay and compliance leave.
     """
     largest = max(float(np.abs(each - each.mean()).max()) for each in torques)
-    low, high = min(float(each.min()) for each in links), max(float(each.max()) for each in links)
     none = np.zeros(0)
     found = [
         ("line", (_cycles(links, left),)),
         ("hysteresis", tuple(share * largest for share in _SLIPS)),
-        ("position", (0.5 * (low + high), 0.5 * (high - low))),
+        ("position", _ends(links)),
     ]
     return [DeflectionTerm(kind=kind, numbers=numbers, weights=none) for kind, numbers in found]
+
+
+def _ends(links: list[Array]) -> tuple[float, float]:
+    """Return the range of the link's positions in all recordings."""
+    return min(float(each.min()) for each in links), max(float(each.max()) for each in links)
 
 
 def _cycles(links: list[Array], left: list[Array]) -> float:
