@@ -94,7 +94,7 @@ class _Model(NamedTuple):
         return found
 
 
-class _Fit(NamedTuple):
+class _Solution(NamedTuple):
     """Unknowns (k,), the best and those of no bounds, their scale, and each joint's rows, weighted.
 
     `places` are those of a joint's unknowns among all.
@@ -374,7 +374,7 @@ def _least(A: Array, y: Array, low: Array) -> tuple[Array, Array, Array]:
     return best / scale, free / scale, scale
 
 
-def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) -> _Fit:
+def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) -> _Solution:
     """Fit delays, compliances that are not negative, and weights, to recordings.
 
     Delays that are nearly right take fewer rounds.
@@ -397,7 +397,7 @@ def _fit(groups: list[list[Run]], model: _Model, delays: Array | None = None) ->
         left = _missed(tables, model.split(best)).std(axis=0)
         weight = 1.0 / np.maximum(left, _EXACT * sizes)
     rows = [w * table for w, table in zip(used.tolist(), tables, strict=True)]
-    return _Fit(best=best, free=free, scale=scale, rows=rows, places=of)
+    return _Solution(best=best, free=free, scale=scale, rows=rows, places=of)
 
 
 def _of_links(
