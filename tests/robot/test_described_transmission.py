@@ -86,6 +86,18 @@ def test_elements_are_read_as_ros_reads_them(kind: str, rows: list[list[float]])
     np.testing.assert_allclose(robot.offset, [0.1, 0.0, 0.0])
 
 
+def again(motor: str) -> str:
+    """Return an arm whose first joint stands in a further transmission."""
+    first = ROS.format("FourBarLinkageTransmission")
+    further = first.partition('<transmission name="two">')[0].replace("one", "more")
+    return arm().replace("</robot>", further.replace("m1", motor) + first)
+
+
+def test_a_joint_may_stand_in_two_elements_that_say_the_same():
+    robot = sdpid.load_robot(again("m1"), transmission="description")
+    assert robot.joint_names == ("m1", "m2", "m3")
+
+
 def test_a_file_beside_the_description_is_taken(tmp_path: Path):
     (tmp_path / "arm.urdf").write_text(arm())
     (tmp_path / "arm.transmission.toml").write_text("[joints.joint_2]\nmotor = 0.5\n")
@@ -107,6 +119,7 @@ REFUSED = [
         loaded(arm().replace("</robot>", ROS.replace("-50", "0").format("SimpleTransmission"))),
         "reduction or offset of actuator 'm1'",
     ),
+    (loaded(again("m4")), "'more' and 'one' move joint 'joint_1', each in its own way"),
     (loaded(MJCF.format(SUM.format("", ""), "", "")), "no motor pulls at a fixed tendon"),
     (loaded(MJCF.format(SUM.format("", ""), "", ALIKE)), "move its joints alike"),
     (

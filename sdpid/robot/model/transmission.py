@@ -313,9 +313,10 @@ def of_elements(root: Any, what: str) -> Transmission:
     Raises
     ------
     ModelError
-        When there are none, or one is of a kind that is not known.
+        When there are none, one is of a kind that is not known, or two move a joint otherwise.
     """
     rows: dict[str, dict[str, float]] = {}
+    owners: dict[str, str] = {}
     for element in root.iter("transmission"):
         name = element.get("name", "?")
         kind = "".join(element.findtext(t) or "" for t in ("type", "plugin")) or element.get(
@@ -336,8 +337,13 @@ def of_elements(root: Any, what: str) -> Transmission:
             gears[1, 0] /= joints[0][1]
         names = [name for name, _, _ in motors]
         for (joint, ratio, shift), row in zip(joints, gears.tolist(), strict=True):
-            own = {name: x / ratio for name, x in zip(names, row, strict=True)}
-            rows[joint] = {**own, "offset": shift}
+            own = {name: x / ratio for name, x in zip(names, row, strict=True)} | {"offset": shift}
+            if rows.setdefault(joint, own) != own:
+                raise ModelError(
+                    f"{what}: transmissions '{owners[joint]}' and '{name}' move joint '{joint}', "
+                    "each in its own way; leave one of them out, or give transmission= as numbers."
+                )
+            owners[joint] = name
     if not rows:
         raise ModelError(f"{what}: has no <transmission>; give transmission= as numbers.")
     return Transmission.of({"joints": rows})
