@@ -39,6 +39,7 @@ from sdpid.output.samples.drive_draws import write_drive_draws
 from sdpid.output.tables.parameter_tables import base_table, in_words, intervals_dict, theta_table
 from sdpid.output.tables.parameters_file import write_parameters
 from sdpid.robot.friction.model import JointCurve
+from sdpid.robot.friction.posed import PositionFriction
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.verifier.manifest import NAME as MANIFEST
 from sdpid.verifier.manifest import SCHEMA, VERSION, sealed
@@ -227,6 +228,10 @@ def _robots(
             "steep": result.drives is None,
         }
         exports.append(write_mjcf(estimate, target=mjcf, **how))
+        bent = any(isinstance(term, PositionFriction) for term in problem.friction.terms)
+        if tendons and not bent:
+            how_to = "" if result.drives else "; --effects position identifies it"
+            note(f"no tendons in {mjcf.name}: nothing was found of friction over position{how_to}")
         if elastic and result.elasticity is None:
             note("no identified_elastic.xml: nothing was found of the elasticity of gears")
         elif elastic:

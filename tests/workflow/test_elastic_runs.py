@@ -55,14 +55,16 @@ def test_a_run_writes_what_it_finds_of_gears(files: tuple[Path, Path], tmp_path:
     printed("verify", out)
 
 
-def test_without_positions_of_links(files: tuple[Path, Path], tmp_path: Path):
+def test_what_was_not_found_is_said(files: tuple[Path, Path], tmp_path: Path):
     urdf, _ = files
     blind = tmp_path / "blind.parquet"
     replace(log(1), link_position=None).to_parquet(blind)
     common = ("identify", blind, "--robot", urdf, "--out", tmp_path / "out")
     refused(run(*common, "--rotor-inertia", "1,1,1"), 2, "rotor_inertia", "positions of links")
-    said = printed(*common, "--elastic", "-v")
+    said = printed(*common, "--elastic", "--tendons")
     assert "no identified_elastic.xml: nothing was found" in said
+    assert "no tendons in identified.xml: nothing was found of friction over position" in said
+    assert "--effects position" in said
     assert not (tmp_path / "out" / "elasticity.json").exists()
 
 
