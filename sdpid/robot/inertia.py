@@ -51,6 +51,14 @@ def skew(vector: ArrayLike) -> Array:
     return matrix
 
 
+def least_turn(one: ArrayLike, other: ArrayLike) -> Array:
+    """Return the least rotation (3, 3) that turns one vector into the direction of another."""
+    start, end = (np.asarray(each) / np.linalg.norm(each) for each in (one, other))
+    K = skew(np.cross(start, end))
+    # Rodrigues' formula.
+    return np.asarray(np.eye(3) + K + K @ K / (1.0 + start @ end))
+
+
 def _trace(matrix: Array) -> Any:
     return np.trace(matrix, axis1=-2, axis2=-1)
 

@@ -18,6 +18,7 @@ from sdpid.robot.description.xml import (
     undeclared,
     xml_text,
 )
+from sdpid.robot.inertia import least_turn
 
 # Parsers recurse into the tree of links: tens of thousands overflow the stack and end the process.
 MOST_LINKS = 2000
@@ -177,11 +178,7 @@ def base_turn(gravity: Array, found: Array) -> Array:
     """Return how a base stands (3, 3) in which gravity is `found` in place of `gravity`."""
     if np.array_equal(gravity, found):
         return np.eye(3)
-    wanted, own = (each / np.linalg.norm(each) for each in (gravity, found))
-    across, along = np.cross(own, wanted), own @ wanted
-    # Rodrigues' formula for the least turn of the one into the other.
-    K = np.array([np.cross(across, e) for e in np.eye(3)]).T
-    return np.asarray(np.eye(3) + K + K @ K / (1.0 + along))
+    return least_turn(found, gravity)
 
 
 def stand_on_level(robot: Any, root: str, turn: Array) -> None:

@@ -17,13 +17,15 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.term import (
     EffortCurve,
-    FrictionTerm,
+    OfPosition,
     SampledMotion,
     TermParameter,
     check_speeds,
     diagonal,
+    of_each_joint,
     smooth_sign,
 )
+from sdpid.robot.inertia import least_turn
 
 # Inertial parameters of every link, ten each about its joint's frame.
 Bodies = tuple[tuple[float, ...], ...]
@@ -39,7 +41,7 @@ _LOSS = 0.1
 
 
 @dataclass(frozen=True)
-class PosedTerm(FrictionTerm):
+class PosedTerm(OfPosition):
     """A term whose columns depend on the position and on the links' inertia.
 
     Attributes
@@ -50,7 +52,6 @@ class PosedTerm(FrictionTerm):
     """
 
     bodies: Bodies | None = None
-    posed: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         for body in self.bodies or ():
@@ -62,19 +63,6 @@ class PosedTerm(FrictionTerm):
                     f"{type(self).__name__}: a body is {body!r:.80}; give ten numbers of at most "
                     f"{LARGEST:g} for each link."
                 )
-
-    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
-        """Refuse: velocities and accelerations alone do not determine the columns.
-
-        Raises
-        ------
-        ModelError
-            Always; `columns_in` takes the whole motion.
-        """
-        raise ModelError(
-            f"{type(self).__name__}: its effort depends on the position; evaluate it with "
-            "columns_in(SampledMotion(...), joint_names)."
-        )
 
     def _efforts(self, motion: SampledMotion, *rates: Array, gravity: Array | None = None) -> Array:
         """Return the efforts (K, n) of the links at the motion's positions and some rates."""
@@ -177,7 +165,6 @@ class LoadFriction(PosedTerm):
     width: float | tuple[float, ...] = 0.0
     share: tuple[float, ...] = ()
     velocity: tuple[float, ...] = ()
-    symbol: ClassVar[str] = "Fl"
     efforts: ClassVar[Mapping[str, str]] = {"Fl": "size({load}) * {sign}"}
 
     def __post_init__(self) -> None:
@@ -193,10 +180,7 @@ class LoadFriction(PosedTerm):
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return one share of the load a joint."""
-        return tuple(
-            TermParameter(f"{self.symbol}{j + 1}", "1", True, j, deviation=_LOSS)
-            for j in range(len(joint_names))
-        )
+        return of_each_joint(joint_names, self.efforts, "1", True, deviation=_LOSS)
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the bodies' efforts times the filtered sign: they vary slowly beside it."""
@@ -226,7 +210,7 @@ class LoadFriction(PosedTerm):
 
 
 @dataclass(frozen=True)
-class PositionFriction(FrictionTerm):
+class PositionFriction(OfPosition):
     """Coulomb friction that changes with the position, ``f(q)·sign(v)``, in place of `Coulomb`.
 
     f is a parabola over a range of positions, held beyond its ends. Its three numbers are the
@@ -258,7 +242,6 @@ class PositionFriction(FrictionTerm):
     lower: tuple[float, ...]
     upper: tuple[float, ...]
     width: float | tuple[float, ...] = 0.0
-    posed: ClassVar[bool] = True
     efforts: ClassVar[Mapping[str, str]] = {
         symbol: f"bend({{q}}, {{lower!r}}, {{upper!r}}, {own}) * {{sign}}"
         for symbol, own in (("Fpa", "1, 0, 0"), ("Fpb", "0, 1, 0"), ("Fpc", "0, 0, 1"))
@@ -283,11 +266,7 @@ class PositionFriction(FrictionTerm):
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return the three numbers of every joint, kind by kind."""
-        return tuple(
-            TermParameter(f"Fp{kind}{j + 1}", "N.m", True, j)
-            for kind in "abc"
-            for j in range(len(joint_names))
-        )
+        return of_each_joint(joint_names, self.efforts, "N.m", True)
 
     def simulated(self, values: Array, joint_names: Sequence[str]) -> Iterator[EffortCurve]:
         """Yield the parabolas and their ranges, and where their signs jump."""
@@ -297,8 +276,6 @@ class PositionFriction(FrictionTerm):
             yield EffortCurve("range", j, 1.0, (self.lower[j], self.upper[j], 0.0))
             if widths[j] == 0.0:
                 yield EffortCurve("jump", j, 0.0, (0.0, 0.0, 0.0))
-
-    columns = PosedTerm.columns
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the shapes times the filtered sign: they vary slowly beside it."""
@@ -310,11 +287,7 @@ class PositionFriction(FrictionTerm):
             )
         width = self.speed("width", n)
         sign = motion.filtered(lambda v, _: smooth_sign(v, width, 0.0), ("position", self.width))
-        shapes = self.shapes(motion.position[:, -n:])
-        columns, joints = np.zeros((*sign.shape, 3 * n)), np.arange(n)
-        for k, shape in enumerate(shapes):
-            columns[:, joints, k * n + joints] = shape * sign
-        return columns
+        return diagonal(*self.shapes(motion.position[:, -n:]) * sign)
 
     def control_values(self, level: Callable[[Array], Array]) -> Array:
         """Return the three numbers (3, n) of a parabola, none negative.
@@ -352,9 +325,4 @@ def horizontal_axes(gravity: Array) -> Array:
     if up[2] < 0.0:
         # The least turn of z is not continuous about a robot that hangs: start from below.
         z, up = -z, up
-    axis, cosine = np.cross(z, up), float(z @ up)
-    # Rodrigues' formula for the least turn of z into the vertical.
-    turned = [
-        e * cosine + np.cross(axis, e) + axis * (axis @ e) / (1.0 + cosine) for e in np.eye(3)
-    ]
-    return np.array(turned[:2])
+    return least_turn(z, up).T[:2]

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import (
     EffortCurve,
     FrictionTerm,
     OfMotion,
+    OfPosition,
     Place,
     SampledMotion,
     TermParameter,
@@ -26,16 +26,15 @@ from sdpid.robot.friction.term import (
 _BENT = ("Kq", "Kc")
 # The number of a joint at the end of a parameter's name.
 _NUMBER = re.compile(r"\d+$")
+# A parameter: symbol, unit, whether it is not negative, and its value where that is known.
+Symbol = tuple[str, str, bool, float | None]
 
 
-class OneJoint(FrictionTerm):
+class OneJoint(OfPosition):
     """A base of terms that act on one joint, at any speed."""
 
     # A joint whose position is recorded, or one behind a transmission.
     joint: str
-    posed: ClassVar[bool] = True
-
-    columns = PosedTerm.columns
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return the parameters, called by the joint's number, or its name where it has none."""
@@ -43,17 +42,13 @@ class OneJoint(FrictionTerm):
         place = joint_names.index(self.joint) if known else 0
         end = str(place + 1) if known else f"_{self.joint}"
         return tuple(
-            TermParameter(f"{symbol}{end}", unit, nonnegative, place, value=self._known(symbol))
-            for symbol, unit, nonnegative in self._symbols()
+            TermParameter(f"{symbol}{end}", unit, nonnegative, place, value=known)
+            for symbol, unit, nonnegative, known in self._symbols()
         )
 
     @abstractmethod
-    def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
-        """Return symbol, unit and whether it is not negative of every parameter."""
-
-    def _known(self, symbol: str) -> float | None:
-        """Return the value of a parameter that is known."""
-        return None
+    def _symbols(self) -> Iterable[Symbol]:
+        """Return every parameter."""
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the shapes of the joint's position, on the joints that move it."""
@@ -89,9 +84,9 @@ def way_of(what: str, place: Place, robot: Any, joint_names: Sequence[str]) -> t
         return np.array(place), 0.0
     if place in joint_names:
         return np.eye(len(joint_names))[joint_names.index(place)], 0.0
-    tree = () if robot is None else robot.tree_joints
+    tree = () if robot is None else robot.tree_joints[robot.n_base :]
     if place not in tree:
-        behind = [name for name in tree[robot.n_base :] if name not in joint_names]
+        behind = [name for name in tree if name not in joint_names]
         more = f", behind its transmission {', '.join(behind)}" if behind else ""
         raise ModelError(
             f"{what}: the robot has no joint '{place}'; it has {', '.join(joint_names)}{more}."
@@ -148,16 +143,11 @@ class Spring(OneJoint):
                 "away from a position."
             )
 
-    def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
-        own = (("K", "N.m/rad", True), ("Kr", "N.m", False))
+    def _symbols(self) -> Iterable[Symbol]:
+        yield "K", "N.m/rad", True, self.stiffness
         if self.rest is None:
-            return own
-        return (own[0], *((each, "1", False) for each in _BENT[: len(self.polynomial)]))
-
-    def _known(self, symbol: str) -> float | None:
-        if symbol in _BENT:
-            return self.polynomial[_BENT.index(symbol)]
-        return self.stiffness if symbol == "K" else None
+            yield "Kr", "N.m", False, None
+        yield from ((s, "1", False, x) for s, x in zip(_BENT, self.polynomial, strict=False))
 
     def _shapes(self, position: Array) -> Array:
         if self.rest is not None:
@@ -231,16 +221,10 @@ class PositionTerm(OneJoint):
         rows = tuple(tuple(float(x) for x in row) for row in table)
         object.__setattr__(self, "function", rows)
 
-    def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
-        names = (
-            [self.name]
-            if self.count == 1
-            else [f"{self.name}{chr(97 + k)}" for k in range(self.count)]
-        )
-        return tuple((name, self.unit, self.nonnegative) for name in names)
-
-    def _known(self, symbol: str) -> float | None:
-        return self.value
+    def _symbols(self) -> Iterable[Symbol]:
+        for k in range(self.count):
+            letter = chr(97 + k) if self.count > 1 else ""
+            yield self.name + letter, self.unit, self.nonnegative, self.value
 
     def _shapes(self, position: Array) -> Array:
         found = (
@@ -306,8 +290,8 @@ class Hysteresis(OneJoint):
         if not slips or not all(isinstance(s, int | float) and 0.0 < s < np.inf for s in slips):
             raise ModelError(f"Hysteresis: slips are {self.slips!r:.80}; give positive numbers.")
 
-    def _symbols(self) -> tuple[tuple[str, str, bool], ...]:
-        return tuple((f"Fh{chr(97 + k)}", "N.m", True) for k in range(len(self.slips)))
+    def _symbols(self) -> Iterable[Symbol]:
+        return ((f"Fh{chr(97 + k)}", "N.m", True, None) for k in range(len(self.slips)))
 
     def _shapes(self, position: Array) -> Array:
         return np.stack([(position - play(position, s)) / s for s in self.slips], axis=1)
@@ -328,7 +312,7 @@ def play(position: Array, slip: float) -> Array:
 
 
 @dataclass(frozen=True)
-class AtJoints(FrictionTerm):
+class AtJoints(OfPosition):
     """A term on joints behind a transmission, in place of those whose positions are recorded.
 
     Attributes
@@ -349,9 +333,6 @@ class AtJoints(FrictionTerm):
 
     friction: FrictionTerm
     joints: tuple[Place, ...]
-    posed: ClassVar[bool] = True
-
-    columns = PosedTerm.columns
 
     def __post_init__(self) -> None:
         if not isinstance(self.friction, FrictionTerm) or self.friction.posed:

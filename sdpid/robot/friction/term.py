@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -460,6 +461,25 @@ class FrictionTerm(ABC):
         return np.reshape(kept, (len(kept), n))
 
 
+class OfPosition(FrictionTerm):
+    """A base of terms whose columns depend on the position."""
+
+    posed: ClassVar[bool] = True
+
+    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
+        """Refuse: velocities and accelerations alone do not determine the columns.
+
+        Raises
+        ------
+        ModelError
+            Always; `columns_in` takes the whole motion.
+        """
+        raise ModelError(
+            f"{type(self).__name__}: its effort depends on the position; evaluate it with "
+            "columns_in(SampledMotion(...), joint_names)."
+        )
+
+
 @dataclass(frozen=True)
 class JointwiseTerm(FrictionTerm):
     """A term with one parameter per joint, which acts on that joint alone.
@@ -494,10 +514,7 @@ class JointwiseTerm(FrictionTerm):
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return one parameter for each joint."""
-        return tuple(
-            TermParameter(f"{self.symbol}{j + 1}", self.unit, self.nonnegative, j)
-            for j in range(len(joint_names))
-        )
+        return of_each_joint(joint_names, (self.symbol,), self.unit, self.nonnegative)
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the columns: diagonal in the joints."""
@@ -554,6 +571,14 @@ def simulated_curves(
     if isinstance(term, JointwiseTerm):
         return JointwiseTerm.simulated(term, values, joint_names)
     return FrictionTerm.simulated(term, values, joint_names)
+
+
+def of_each_joint(
+    joint_names: Sequence[str], symbols: Iterable[str], unit: str, nonnegative: bool, **more: Any
+) -> tuple[TermParameter, ...]:
+    """Return a parameter of each joint for every symbol in turn."""
+    names = product(symbols, range(len(joint_names)))
+    return tuple(TermParameter(f"{s}{j + 1}", unit, nonnegative, j, **more) for s, j in names)
 
 
 def diagonal(*shapes: Array) -> Array:

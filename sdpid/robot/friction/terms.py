@@ -13,7 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import plain
 from sdpid.errors import ModelError
 from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
-from sdpid.robot.friction.position import AtJoints, Hysteresis, PositionTerm, Spring
+from sdpid.robot.friction.position import AtJoints, Hysteresis, PositionTerm, Spring, way_of
 from sdpid.robot.friction.term import (
     SLOWEST,
     EffortCurve,
@@ -25,6 +25,7 @@ from sdpid.robot.friction.term import (
     TermParameter,
     check_speeds,
     diagonal,
+    of_each_joint,
     sign_curves,
     smooth_sign,
 )
@@ -365,11 +366,7 @@ class AsymmetricCoulomb(FrictionTerm):
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return the positive side of every joint, then the negative side."""
-        return tuple(
-            TermParameter(f"{symbol}{j + 1}", "N.m", True, j)
-            for symbol in self.efforts
-            for j in range(len(joint_names))
-        )
+        return of_each_joint(joint_names, self.efforts, "N.m", True)
 
     def _sides(self, velocity: Array, acceleration: Array) -> Array:
         """Return the sign of the velocity where it is positive, then where not, (K, 2, n)."""
@@ -427,23 +424,24 @@ class Coupling(FrictionTerm):
     efforts: ClassVar[Mapping[str, str]] = {"Ia": "{a}", "Fv": "{v}", "Fs": "{sign}"}
 
     def __post_init__(self) -> None:
-        if isinstance(self.width, tuple):
-            raise ModelError(f"Coupling: width is {self.width}; give one number for the motor.")
+        given: Any = self.width
+        if isinstance(given, tuple):
+            if len(given) != 1:
+                raise ModelError(f"Coupling: width is {given}; give one number for the motor.")
+            # As the data choose it.
+            object.__setattr__(self, "width", given[0])
         super().__post_init__()
 
-    def _joints(self, joint_names: Sequence[str]) -> tuple[int, int]:
-        for name in (self.first, self.second):
-            if name not in joint_names:
-                raise ModelError(
-                    f"Coupling: the robot has no joint '{name}'; it has {', '.join(joint_names)}."
-                )
+    def _ways(self, joint_names: Sequence[str]) -> Array:
+        """Return how each joint follows all of them, (2, n)."""
         if self.first == self.second:
             raise ModelError(f"Coupling: '{self.first}' is named twice; name two joints.")
-        return joint_names.index(self.first), joint_names.index(self.second)
+        places = (self.first, self.second)
+        return np.array([way_of("Coupling", each, None, joint_names)[0] for each in places])
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return rotor inertia, viscous and Coulomb friction of the coupling."""
-        i, j = self._joints(joint_names)
+        i, j = self._ways(joint_names).argmax(axis=1).tolist()
         pair = f"{i + 1}_{j + 1}"
         last = max(i, j)
         # The viscous and inertial cross terms may have either sign: they are differences.
@@ -461,7 +459,7 @@ class Coupling(FrictionTerm):
         Below zero, inertia and viscous friction are those of the joints' difference.
         """
         *linear, coulomb = values.tolist()
-        units = np.eye(len(joint_names))[[*self._joints(joint_names)]]
+        units = self._ways(joint_names)
         for term, value in zip((RotorInertia(), Viscous()), linear, strict=True):
             places = (units[0] + math.copysign(1.0, value) * units[1], *units)
             yield term, [tuple(each.tolist()) for each in places], abs(value) * _CROSSWISE
@@ -488,18 +486,12 @@ class Coupling(FrictionTerm):
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
         """Return the open width when it is None, with search limits from both joints' speeds."""
-        i, j = self._joints(joint_names)
+        i, j = self._ways(joint_names).argmax(axis=1).tolist()
         both = [np.concatenate([speeds[i], speeds[j]])]
         return tuple(
             replace(each, name=f"width{i + 1}_{j + 1}")
             for each in super().open_parameters(both, joint_names)
         )
-
-    def with_values(self, values: Sequence[float]) -> FrictionTerm:
-        """Return a copy with this width."""
-        if self.width is None and len(values) == 1:
-            return replace(self, width=float(values[0]))
-        return super().with_values(values)
 
 
 # All terms that need nothing but a name.
