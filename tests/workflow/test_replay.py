@@ -325,7 +325,7 @@ def test_macros_in_a_folder_are_not_run(
 ) -> None:
     macro = '<xacro:property xmlns:xacro="http://ros.org/wiki/xacro" name="a" value="${1 + 1}"/>'
     edit(results / URDF, lambda text: text.replace("</robot>", f"{macro}</robot>"))
-    name = "sdpid.robot.description.xacro.run_in_sandbox"
+    name = "sdpid.robot.description.xml.run_in_sandbox"
     monkeypatch.setattr(name, lambda *_, **__: pytest.fail("was run"))
     assert states(replay(results, run / "run.csv"))["robot"] == OTHER
 

@@ -17,9 +17,8 @@ from sdpid.assurance.descriptions.findings import DescriptionFinding, found
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.hull import Hull
 from sdpid.robot.description.bodies import read_urdf_bodies
-from sdpid.robot.description.xacro import expand_xacro
-from sdpid.robot.description.xml import is_mjcf, read_description
-from sdpid.robot.model.geometry import link_points
+from sdpid.robot.description.xml import is_mjcf, read_expanded
+from sdpid.robot.model.shapes import link_shapes
 
 _ORDER = {"error": 0, "warning": 1, "note": 2}
 
@@ -157,7 +156,7 @@ def audit_urdf(
     >>> print(audit.describe())
     identified.urdf: 7 links, 0 errors, 0 warnings, 0 notes
     """
-    read = expand_xacro(read_description(source), xacro_args)
+    read = read_expanded(source, xacro_args)
     text, path, what = read.text, read.path, read.what
     shapes: dict[str, Shapes] = {}
     findings: list[DescriptionFinding] = []
@@ -186,10 +185,11 @@ def _shapes(
         points = {}
         for kind in ("collision", "visual"):
             try:
-                points[kind] = link_points(link, kind, what, folders)
+                shapes = link_shapes(link, kind, what, folders)
             except ModelError as cause:
-                points[kind] = np.empty((0, 3))
+                shapes = []
                 failed.append(str(cause))
+            points[kind] = np.concatenate([np.empty((0, 3)), *(each.points() for each in shapes)])
         whole = _hull(np.concatenate([points["collision"], points["visual"]]))
         if whole is not None:
             yield link.get("name", ""), Shapes(_hull(points["collision"]) or whole, whole)

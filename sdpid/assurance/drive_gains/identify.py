@@ -38,12 +38,8 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import transform
-from sdpid.robot.model.arms import (
-    carrying_link,
-    frame_on_link,
-    require_fixed_robot,
-    require_open_chain,
-)
+from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
+from sdpid.robot.model.geometry import carrying_frame
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -168,8 +164,7 @@ def identify_drive_gains(
     unloaded = Samples.join(samples[: len(bare)])
     rough = checks.rough_gains(arm, unloaded, kinds)
     findings = checks.looked_at(arm, logs[: len(bare)], logs[len(bare) :], rough, kinds)
-    number = carrying_link(arm, link, what="gains")
-    rotation, translation, frame_name = frame_on_link(arm, number, frame, what="gains")
+    number, rotation, translation, frame_name = carrying_frame(arm, link, frame, what="gains")
     placed = np.zeros((10 * arm.n_links, 10))
     placed[10 * number :][:10] = transform(np.eye(10), rotation, translation).T
     for each, own in zip(loads, samples[len(bare) :], strict=True):

@@ -44,12 +44,8 @@ from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import BY_NAME, RotorInertia
 from sdpid.robot.inertia import margin, physical_parameters, transform
-from sdpid.robot.model.arms import (
-    carrying_link,
-    frame_on_link,
-    require_fixed_robot,
-    require_open_chain,
-)
+from sdpid.robot.model.arms import require_fixed_robot, require_open_chain
+from sdpid.robot.model.geometry import carrying_frame
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -178,8 +174,7 @@ def identify_payload(
         _read(model, log, name, absent, known)
         for log, name in ((with_load, "log"), (without_load, "without_load"))
     )
-    number = carrying_link(model, link, what="payload")
-    rotation, translation, name = frame_on_link(model, number, frame, what="payload")
+    number, rotation, translation, name = carrying_frame(model, link, frame, what="payload")
     how = {
         "processing": processing,
         "without_effort": absent,

@@ -17,7 +17,6 @@ from sdpid.excitation.limits.joint_limits import UNITS, JointLimits
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.trajectory import Played, Trajectory, played
-from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 
 # Samples a second of pictures.
@@ -147,7 +146,6 @@ def limited_quantities(
     """
     model = TorqueModel.of(robot)
     torque = model.torque(motion.position, motion.velocity, motion.acceleration)
-    slides = sliding(robot.pin_model, robot.joint_names)
     limited = {"lower": (motion.position, limits.lower, limits.upper)}
     for kind, values, most in (
         ("velocity", motion.velocity, limits.velocity),
@@ -160,7 +158,7 @@ def limited_quantities(
         yield (
             name,
             [
-                (UNITS[kind][int(slides[j])], values[:, j], *_ends(least[j], most[j]))
+                (UNITS[kind][int(robot.slides[j])], values[:, j], *_ends(least[j], most[j]))
                 for kind, (values, least, most) in limited.items()
             ],
         )

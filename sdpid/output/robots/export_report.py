@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.diagnostics.described import Resistances, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
@@ -170,8 +169,8 @@ def file_errors(
     *,
     robot: RobotModel,
     held: Resistances,
-    offsets: Array | None = None,
     springs: Sequence[Spring] = (),
+    **more: Any,
 ) -> ExportErrors | None:
     """Return the errors of a file that was written from an estimate, given the numbers in it.
 
@@ -185,24 +184,18 @@ def file_errors(
         Under gravity as a reader of the file has it.
     held : Resistances
         Of the joints and tendons in the file.
-    offsets : ndarray, shape (joints,), or None
-        Constant efforts.
     springs : sequence of Spring, optional
         Those of the file.
+    **more
+        What else `described_dynamics` takes.
     """
     problem, theta = estimate.problem, estimate.theta
     assert theta is not None
     if samples is None and problem.rows is None:
         return None
     samples = problem.samples if samples is None else samples
-    model = described_dynamics(
-        robot,
-        samples,
-        bodies=problem.feasible.bodies(theta),
-        held=held,
-        offsets=offsets,
-        springs=springs,
-    )
+    bodies = problem.feasible.bodies(theta)
+    model = described_dynamics(robot, samples, bodies=bodies, held=held, springs=springs, **more)
     return ExportErrors(
         validate_dynamics(model, samples, problem).told.relative,
         validate(estimate, samples).told.relative,

@@ -10,7 +10,7 @@ alone, such as motors of a transmission, or the one of a `Coupling`, becomes a t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -174,8 +174,7 @@ def joint_attributes(
         When an identified number that is to be written is negative.
     """
     places = Places(problem, theta, attributes, also)
-    values = places.at_nominal_speeds()
-    notes: tuple[str, ...] = ()
+    values, notes = places.at_nominal_speeds(), tuple[str, ...]()
     left_out = [LeftOut(type(part.term).__name__, part.names) for part in places.of("lost")]
     exact = not places.of("curve") and not places.of("lost") and places.holds_tendons
     if exact or problem.rows is None:
@@ -189,12 +188,9 @@ def joint_attributes(
                 values[kind][j] = value
         left_out = list(map(rows.left_out, places.of("lost"), rows.lost))
         notes = (rows.note(values),) if places.kinds else ()
-    bends = {
-        joint: each
-        for part in places.of("bent")
-        if isinstance(part.term, PositionFriction)
-        for joint, each in zip(places.joints, bent_friction(part.term, part.values), strict=True)
-    }
+    bends = dict[str, BentFriction]()
+    for part in places.of("bent"):
+        bends |= zip(places.joints, bent_friction(part.term, part.values), strict=True)
     if bends:
         constant = np.array([bends[joint].own for joint in places.joints])
         values[Coulomb] = values.get(Coulomb, 0.0) + constant
@@ -204,17 +200,15 @@ def joint_attributes(
             f"within {bends[worst].error:.2g} N·m of the identified one (joint '{worst}')",
         )
     seats = Seats(problem.robot, places.joints)
-    for kind, numbers in values.items():
-        for joint, value in zip(places.joints, numbers, strict=True):
-            seats.add(joint, attributes[kind], float(value))
+    rows_of = [(kind, places.joints, numbers) for kind, numbers in values.items()]
     for part in places.of("behind"):
-        assert isinstance(part.term, AtJoints)
-        own = type(part.term.friction)
-        assert issubclass(own, JointwiseTerm)
-        if isinstance(part.term.friction, Coulomb) and not _sharp(part.term.friction):
+        own = part.term.friction
+        rows_of.append((type(own), part.term.names, part.values))
+        if isinstance(own, Coulomb) and not _sharp(own):
             notes += ("dry friction of joints behind the transmission lacks its smooth sign",)
-        for joint, value in zip(part.term.names, part.values, strict=True):
-            seats.add(joint, attributes[own], float(value))
+    for kind, names, numbers in rows_of:
+        for name, value in zip(names, numbers.tolist(), strict=True):
+            seats.add(name, attributes[kind], value)
     for part in places.of("spring"):
         seats.add_spring(part)
     motors = seats.tendons()
@@ -229,13 +223,7 @@ def joint_attributes(
         # What a joint has beside a tendon is not its parameter.
         fitted=not exact or bool(places.tendons),
         tendons=motors | places.tendons,
-        offsets={
-            joint: float(value)
-            for part in places.of("offset")
-            for joint, value in zip(
-                getattr(part.term, "joints", places.joints), part.values, strict=True
-            )
-        },
+        offsets={name: x for part in places.of("offset") for name, x in places.named(part)},
         bent=bends,
     )
 
@@ -255,9 +243,7 @@ class Seats:
 
     def add_spring(self, part: Part) -> None:
         """Add a spring, whose effort is a polynomial of the position less its rest."""
-        term = part.term
-        assert isinstance(term, Spring)
-        stiffness, *others = part.values.tolist()
+        term, (stiffness, *others) = part.term, part.values.tolist()
         rest = term.rest if term.rest is not None else others[0] / (stiffness or 1.0)
         if stiffness <= _FRICTION_ZERO:
             self.notes += (f"no place for the spring of {term.joint}: its stiffness is zero",)
@@ -314,7 +300,8 @@ _PLACED: tuple[Role, ...] = ("coupled", "offset", "behind", "spring")
 class Part(NamedTuple):
     """A term, the names of its parameters, and their values."""
 
-    term: FrictionTerm
+    # Of a class that its role says.
+    term: Any
     names: tuple[str, ...]
     values: Array
 
@@ -368,10 +355,9 @@ class Places:
             names = tuple(p.name for p in problem.friction.parameters[own])
             part = Part(term, names, theta[10 * problem.robot.n_links :][own])
             self._parts.setdefault(role, []).append(part)
-        self.exact: dict[Kind, Array] = {}
-        for part in self.of("held"):
-            assert isinstance(part.term, JointwiseTerm)
-            self.exact[type(part.term)] = np.maximum(part.values, 0.0)
+        self.exact: dict[Kind, Array] = {
+            type(part.term): np.maximum(part.values, 0.0) for part in self.of("held")
+        }
         self._couple()
         if np.any(self.added[RotorInertia] > self.exact.get(RotorInertia, 0.0)):
             # Tendons that add more armature than the joints have: what is left is none.
@@ -387,6 +373,10 @@ class Places:
         """Return the terms of a role."""
         return self._parts.get(role, [])
 
+    def named(self, part: Part) -> Iterator[tuple[str, float]]:
+        """Yield the joints of a term and their values."""
+        yield from zip(getattr(part.term, "joints", self.joints), part.values.tolist(), strict=True)
+
     def _couple(self) -> None:
         """Note the tendons of drives of two joints, and what they add at the joints."""
         self.tendons: dict[str, Tendon] = {}
@@ -396,7 +386,6 @@ class Places:
         every = (x for p in self.of("coupled") for x in p.term.acting(p.values, self.joints))
         for term, places, values in every:
             kind = type(term)
-            assert issubclass(kind, JointwiseTerm)
             for place, value in zip(places, values.tolist(), strict=True):
                 way = np.array(place)
                 if np.count_nonzero(way) == 1:

@@ -132,13 +132,9 @@ def write_mjcf(
     text, notes = open_source(robot, source, what)
     # MuJoCo loads no other bodies, whatever consistency the problem has.
     text.write_bodies(bodies, "pseudo_inertia")
-    also: list[Role] = ["spring"]
-    if offsets:
-        also.append("offset")
-    if text.ours:
-        also.append("coupled")
-    if text.ours and tendons:
-        also.append("bent")
+    places: dict[Role, bool] = {"spring": True, "offset": offsets, "coupled": text.ours}
+    places["bent"] = text.ours and tendons
+    also = [role for role, asked in places.items() if asked]
     friction = joint_attributes(problem, theta, PLACES, what, also)
     notes = friction.notes + notes
     if any(lost.term == Offset.__name__ for lost in friction.left_out):
@@ -428,11 +424,10 @@ class Mjcf(RobotText):
             With the difference.
         """
         written = Mjcf(self.robot, self.text(), self.what, folder=self.folder, ours=True)
-        model = written.model.with_gravity(written._base[:3, :3] @ self.robot.gravity)
-        states = self.states()
         self.require_same_efforts(
-            self.robot.inverse_dynamics(bodies, *states),
-            model.efforts_of_bodies(model.prior, *states),
+            self.robot,
+            bodies,
+            written.model.with_gravity(written._base[:3, :3] @ self.robot.gravity),
             "the source's joints are placed, turned or counted differently, or it overrides "
             "inertials (inertiafromgeom, boundmass, settotalmass). Give the MJCF of the robot "
             "that was identified.",

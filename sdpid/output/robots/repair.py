@@ -30,8 +30,7 @@ from sdpid.robot.description.bodies import (
     read_urdf_bodies,
     second_moment,
 )
-from sdpid.robot.description.xacro import expand_xacro
-from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description, xml_text
+from sdpid.robot.description.xml import encode_xml, is_mjcf, read_expanded, xml_text
 from sdpid.robot.inertia import (
     complement,
     inertia_tensor,
@@ -172,8 +171,7 @@ def repair_urdf(
     CertificateError
         When a repair cannot be proven nearest.
     """
-    read = read_description(source)
-    found = expand_xacro(read, xacro_args)
+    found = read_expanded(source, xacro_args)
     text, what = found.text, found.what
     if is_mjcf(text, what):
         raise ExportError(f"{what}: only URDF is repaired; correct the MJCF by hand.")
@@ -187,7 +185,7 @@ def repair_urdf(
         bodies=tuple(repair.done[name] for name in repair.bodies if name in repair.done),
         left=tuple(repair.left),
         path=None if target is None else Path(target),
-        expanded=found is not read,
+        expanded=found.expanded,
     )
 
 

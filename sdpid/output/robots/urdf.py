@@ -285,10 +285,10 @@ class Urdf(RobotText):
                 f"{self.what}: the source has the joints {', '.join(written.joint_names)}, the "
                 f"robot has {', '.join(robot.joint_names)}; give the URDF of the same robot."
             )
-        states = self.states()
         self.require_same_efforts(
-            (seen or robot).inverse_dynamics(bodies, *states),
-            written.inverse_dynamics(written.prior, *states),
+            seen or robot,
+            bodies,
+            written,
             "the source's joints are placed differently. Give the URDF that the robot was "
             "identified with.",
         )

@@ -23,8 +23,7 @@ from sdpid.output.robots.export_report import ExportReport, FileErrors
 from sdpid.output.robots.joint_friction import JointAttributes
 from sdpid.robot.description.bodies import NOTHING, DescribedBody, Inertial, exists, inside, rounded
 from sdpid.robot.description.mjcf import MjcfBody
-from sdpid.robot.description.xacro import expand_xacro
-from sdpid.robot.description.xml import add_child, encode_xml, read_description, relative, xml_text
+from sdpid.robot.description.xml import add_child, encode_xml, read_expanded, relative, xml_text
 from sdpid.robot.inertia import Consistency, margin, transform
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.model import RobotModel
@@ -178,18 +177,19 @@ class RobotText(ABC):
                 self.flat.append(name)
             self.write(carrier, written)
 
-    def states(self) -> tuple[Array, Array, Array]:
-        """Return the states at which efforts are compared."""
-        return generic_states(self.robot, _STATES, _SEED)
-
-    def require_same_efforts(self, expected: Array, found: Array, reason: str) -> None:
-        """Refuse a written text whose efforts differ from those of the identified bodies.
+    def require_same_efforts(
+        self, robot: RobotModel, bodies: Array, written: RobotModel, reason: str
+    ) -> None:
+        """Refuse a written robot whose efforts differ from those of the identified bodies.
 
         Raises
         ------
         ExportError
             With the difference and a reason.
         """
+        states = generic_states(self.robot, _STATES, _SEED)
+        expected = robot.inverse_dynamics(bodies, *states)
+        found = written.inverse_dynamics(written.prior, *states)
         error, scale = float(np.abs(found - expected).max()), float(np.abs(expected).max())
         if not error <= _READ_BACK * max(scale, 1.0):
             raise ExportError(
@@ -269,7 +269,7 @@ def source_text(robot: RobotModel, source: PathLike | None, what: str) -> str:
             )
         return robot.urdf
     try:
-        return expand_xacro(read_description(source)).text
+        return read_expanded(source).text
     except ModelError as cause:
         raise ExportError(f"{what}: {cause}") from None
 

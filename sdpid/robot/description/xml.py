@@ -1,4 +1,7 @@
-"""Read robot descriptions as XML: decode, parse safely, read and write frames, and encode again."""
+"""Read robot descriptions as XML: decode, expand, parse safely, read and write frames, encode.
+
+xacro files, URDF with macros, are expanded in a child process (extra ``xacro``).
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ import math
 import os
 import re
 import unicodedata
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +19,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
-from sdpid._common.files import Source, read_regular
-from sdpid.errors import ModelError
+from sdpid._common.extras import require
+from sdpid._common.files import PathLike, Source, read_regular
+from sdpid._common.sandbox import run_in_sandbox
+from sdpid.errors import ModelError, SdpidError
 
 # The largest robot description seen in the wild is below 1 MB; this bounds a hostile one.
 MAX_BYTES = 64 * 2**20
+
+# Seconds in which a xacro file is expanded.
+TIMEOUT = 60.0
 
 # Unicode categories that names must not have: names are printed, and could forge lines.
 _CONTROLS = ("Cc", "Zl", "Zp")
@@ -51,12 +59,15 @@ class Description:
         What it is called in messages.
     source : Source or None
         The file's name, size and SHA-256; of text those of its UTF-8, without a name.
+    expanded : bool
+        Whether the text is the URDF that a xacro file stands for.
     """
 
     text: str
     path: Path | None
     what: str
     source: Source | None = None
+    expanded: bool = False
 
 
 def is_xml(source: object) -> bool:
@@ -312,3 +323,83 @@ def numbers(values: ArrayLike) -> str:
     """Return numbers as XML text, in the shortest form that reads back to the same float64."""
     # Adding zero turns -0.0 into 0.0.
     return " ".join(repr(float(value) + 0.0) for value in np.ravel(np.asarray(values)))
+
+
+def is_xacro(found: Description) -> bool:
+    """Return whether a description is xacro, by its file's name or its elements.
+
+    Raises
+    ------
+    ModelError
+        When it is not well-formed XML.
+    """
+    if found.path is not None and found.path.suffix == ".xacro":
+        return True
+    if "xacro" not in found.text:
+        return False
+    root = parse_xml(found.text, found.what)
+    return any("xacro}" in str(element.tag) for element in root.iter())
+
+
+def read_expanded(source: PathLike, arguments: Mapping[str, str] | None = None) -> Description:
+    """Return what `read_description` reads, of a xacro file the URDF that it stands for."""
+    return expand_xacro(read_description(source), arguments)
+
+
+def expand_xacro(found: Description, arguments: Mapping[str, str] | None = None) -> Description:
+    """Return the URDF that a xacro file stands for, and any other description as it is.
+
+    xacro evaluates expressions of Python; the child process that does so has limits of memory and
+    time, but reads and writes files as the user. Packages (``$(find …)``) are found above the
+    file, in a ROS environment, and on ``ROS_PACKAGE_PATH``.
+
+    Parameters
+    ----------
+    found : Description
+        What was read.
+    arguments : mapping, optional
+        Values of ``<xacro:arg>``.
+
+    Raises
+    ------
+    ModelError
+        When it cannot be expanded, or there are arguments for what is no xacro file.
+    MissingExtraError
+        When xacrodoc is not installed.
+    """
+    if not is_xacro(found):
+        if arguments is not None:
+            raise ModelError(f"{found.what}: xacro_args are given, and it is no xacro file.")
+        return found
+    path = None if found.path is None else str(found.path.resolve())
+    values = {str(key): str(value) for key, value in (arguments or {}).items()}
+    text = run_in_sandbox(
+        _expanded,
+        *(found.text, path, values, found.what),
+        subject=found.what,
+        error=ModelError,
+        timeout=TIMEOUT,
+    )
+    return replace(found, text=str(text), expanded=True)
+
+
+def _expanded(text: str, path: str | None, arguments: dict[str, str], what: str) -> str:
+    """Return the URDF of a xacro text, in a child process."""
+    xacrodoc = require("xacrodoc", extra="xacro")
+    folder = None
+    if path is not None:
+        xacrodoc.packages.walk_up_from(path)
+        folder = Path(path).parent
+        # Files that it includes are named relative to it.
+        os.chdir(folder)
+    try:
+        document = xacrodoc.XacroDoc.from_string(text, subargs=arguments, rootdir=folder)
+        return str(document.to_urdf_string())
+    except SdpidError:
+        raise
+    except Exception as cause:  # macros raise whatever their expressions raise
+        message = " ".join(str(cause).split()) or type(cause).__name__
+        raise ModelError(
+            f"{what}: xacro cannot expand it ({message[:300]}); give missing arguments as "
+            "xacro_args."
+        ) from None

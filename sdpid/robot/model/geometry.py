@@ -59,47 +59,17 @@ def collision_points(
             f"'{robot.name}' was not loaded from a URDF, so the shape of '{link}' is not known; "
             "give the points."
         )
-    folders = [Path(folder) for folder in package_dirs]
-    own = robot.link_names.index(link) + 1
-    points = []
-    for each in described_links(robot):
-        if each.joint == own and each.element is not None:
-            found = link_points(each.element, "collision", robot.name, folders)
-            points.append(found @ each.placement[:3, :3].T + each.placement[:3, 3])
-    if not any(len(found) for found in points):
+    folders, joint = [Path(folder) for folder in package_dirs], robot.link_names.index(link) + 1
+    own = (each for each in described_links(robot) if each.joint == joint)
+    shapes, _, lacks = described_shapes(own, ("collision",), robot.name, folders)
+    if lacks:
+        raise ModelError(lacks)
+    if not shapes:
         raise ModelError(
             f"'{robot.name}': link '{link}' and what is fixed to it have no collision geometry; "
             "give the points, or leave this link out."
         )
-    return np.concatenate(points)
-
-
-def link_points(element: Any, kind: str, robot: str, folders: Sequence[Path]) -> Array:
-    """Return points whose convex hull contains the shapes of a URDF's ``<link>``, in its frame.
-
-    Parameters
-    ----------
-    element : element
-        The ``<link>``.
-    kind : {"collision", "visual"}
-        Which shapes.
-    robot : str
-        What the robot is called in messages.
-    folders : sequence of Path
-        Folders in which the names of meshes are looked up.
-
-    Returns
-    -------
-    ndarray, shape (N, 3)
-        m; N is zero where the link has no such shape.
-
-    Raises
-    ------
-    ModelError
-        When a shape is not understood, or a mesh cannot be found or read.
-    """
-    shapes = link_shapes(element, kind, robot, folders)
-    return np.concatenate([np.empty((0, 3)), *(shape.points() for shape in shapes)])
+    return np.concatenate([shape.points() for shape in shapes])
 
 
 class DescribedLink(NamedTuple):
@@ -214,3 +184,57 @@ def link_placements(robot: RobotModel, position: ArrayLike | None = None) -> Arr
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     return np.stack([data.oMi[i + 1].homogeneous for i in range(robot.n_links)])
+
+
+def carrying_frame(
+    robot: RobotModel, link: str | None, frame: str | None, *, what: str
+) -> tuple[int, Array, Array, str]:
+    """Return the link that carries a load, and the placement of the load's frame on it.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The arm.
+    link : str or None
+        Name of the link; by default the last one.
+    frame : str or None
+        A frame fixed to it; by default its joint frame.
+    what : str
+        What messages begin with.
+
+    Returns
+    -------
+    link : int
+    rotation, translation : ndarray, shapes (3, 3) and (3,)
+        Of the frame in the link's joint frame.
+    name : str
+        What to call the frame.
+
+    Raises
+    ------
+    ModelError
+        When there is no such link, several are last ones, or no such frame is fixed to the link.
+    """
+    names, model = robot.link_names, robot.pin_model
+    parents = set(list(model.parents)[1:])
+    last = [name for i, name in enumerate(names, 1) if i not in parents]
+    if link is None and len(last) > 1:
+        raise ModelError(
+            f"{what}: '{robot.name}' has {len(last)} last links, {', '.join(last)}; say which "
+            "carries it (link=...)."
+        )
+    wanted = last[0] if link is None else link
+    if wanted not in names:
+        raise ModelError(
+            f"{what}: '{robot.name}' has no link '{link}'; its links are {', '.join(names)}."
+        )
+    number, frames = names.index(wanted), reversed(list(model.frames))
+    if frame is None:
+        return number, np.eye(3), np.zeros(3), f"of joint {model.names[number + 1]}"
+    fixed = {str(f.name): f.placement for f in frames if f.parentJoint == number + 1}
+    if frame not in fixed:
+        raise ModelError(
+            f"{what}: no frame '{frame}' is fixed to link '{names[number]}'; there are "
+            f"{', '.join(sorted(fixed))}."
+        )
+    return number, np.array(fixed[frame].rotation), np.array(fixed[frame].translation), frame

@@ -22,7 +22,6 @@ from sdpid.robot.description.urdf import pinocchio_from_urdf
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.model import regressor_kernel as kernels
-from sdpid.robot.model.coordinates import coordinate_names, link_names, sliding
 
 # Descriptions and our own URDFs write 'no limit' as a number at least this large.
 _UNLIMITED = 1e9
@@ -202,7 +201,7 @@ class RobotModel:
             if values.shape != (3,):
                 raise ModelError(f"gravity: {values.size} numbers, give 3 (m/s²).")
             model.gravity.linear = values
-        names, links = tuple(coordinate_names(model)), link_names(model)
+        names, links = coordinate_names(model), link_names(model)
         prior = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
         for link, body in zip(links, prior, strict=True):
             if body[0] < 0.0:
@@ -286,7 +285,7 @@ class RobotModel:
     @property
     def tree_joints(self) -> tuple[str, ...]:
         """Names of Pinocchio's nv coordinates: joints that follow others are among them."""
-        return tuple(coordinate_names(self.pin_model))
+        return coordinate_names(self.pin_model)
 
     def way(self, factors: Mapping[str, float]) -> tuple[Array, float]:
         """Return how a sum of joints' positions follows the coordinates: rates (n,), and an offset.
@@ -359,9 +358,9 @@ class RobotModel:
         A joint from 0 to 0 has none: so a URDF is read that leaves them out.
         """
         limits, model = np.tile([-np.inf, np.inf], (self.n, 1)), self.pin_model
-        ends = np.column_stack([model.lowerPositionLimit, model.upperPositionLimit])
         for column, joint in self.single_joints():
-            own = ends[joint.idx_q]
+            at = joint.idx_q
+            own = np.array([model.lowerPositionLimit[at], model.upperPositionLimit[at]])
             if joint.nq == 1 and own.any() and max(-own[0], own[1]) < _UNLIMITED:
                 limits[column] = own - self.offset[joint.idx_v]
         return limits
@@ -581,10 +580,9 @@ class RobotModel:
         if out is None:
             return Y
         if places is None:
-            out[:] = Y
-        else:
-            out[:] = 0.0
-            out[:, :, places[places >= 0]] = Y[:, :, places >= 0]
+            places = np.arange(count)
+        out[:] = 0.0
+        out[:, :, places[places >= 0]] = Y[:, :, places >= 0]
         if entries is not None:
             values, rows, columns = entries
             out[:, rows, columns] = values
@@ -598,7 +596,9 @@ class RobotModel:
     @functools.cached_property
     def slides(self) -> Mask:
         """Which joints slide, (n,); no coordinate of a floating base counts as one."""
-        return sliding(self.pin_model, self.joint_names) & (np.arange(self.n) >= self.n_base)
+        names, kinds = list(self.pin_model.names)[1:], self.tree.kind
+        slide = {each for each, kind in zip(names, kinds, strict=True) if kind == kernels.PRISMATIC}
+        return np.array([name in slide for name in self.joint_names], dtype=np.bool_)
 
     @functools.cached_property
     def frame_numbers(self) -> dict[str, int]:
@@ -703,6 +703,40 @@ class RobotModel:
         out = np.stack(columns, axis=2)
         out = 0.5 * (out + out.transpose(0, 2, 1))
         return out[0] if positions.ndim == 1 else out
+
+
+def coordinate_names(model: Any) -> tuple[str, ...]:
+    """Return the names of a model's nv velocity coordinates, joints that follow others included.
+
+    Raises
+    ------
+    ModelError
+        When a joint is of a kind that is not supported.
+    """
+    names: list[str] = []
+    for i in range(1, model.njoints):
+        joint, name = model.joints[i], str(model.names[i])
+        if joint.nv == 1 and joint.nq in (1, 2) and joint.shortname() != "JointModelMimic":
+            names.append(name)
+        elif i == 1 and joint.nv == 6 and joint.nq == 7:
+            names += [f"{name}/{axis}" for axis in ("vx", "vy", "vz", "wx", "wy", "wz")]
+        else:
+            raise ModelError(
+                f"joint '{name}' is a {joint.shortname()}, which is not supported; "
+                "supported are revolute, continuous and prismatic joints."
+            )
+    return tuple(names)
+
+
+def link_names(model: Any) -> tuple[str, ...]:
+    """Return the first body of each joint: the URDF link that the joint moves."""
+    import pinocchio as pin
+
+    bodies: dict[int, str] = {}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            bodies.setdefault(frame.parentJoint, frame.name)
+    return tuple(bodies.get(i, model.names[i]) for i in range(1, model.njoints))
 
 
 def each_state(

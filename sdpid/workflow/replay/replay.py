@@ -36,8 +36,7 @@ from sdpid.robot.description.catalog import (
     identified_robots,
 )
 from sdpid.robot.description.urdf import without_level
-from sdpid.robot.description.xacro import is_xacro
-from sdpid.robot.description.xml import read_description
+from sdpid.robot.description.xml import is_xacro, read_description
 from sdpid.robot.model.base_parameters import kinematics_digest
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel

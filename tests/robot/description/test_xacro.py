@@ -59,7 +59,7 @@ def test_what_cannot_be_expanded_is_refused(package: Path, monkeypatch: pytest.M
     (package / "bad.xacro").write_text(ARM.replace("${2*pi}", "${nonsense}"))
     with pytest.raises(ModelError, match=r"bad\.xacro: xacro cannot expand it \(.*nonsense"):
         load_robot(package / "bad.xacro")
-    monkeypatch.setattr("sdpid.robot.description.xacro.TIMEOUT", 2.0)
+    monkeypatch.setattr("sdpid.robot.description.xml.TIMEOUT", 2.0)
     (package / "loop.xacro").write_text(ARM.replace("${2*pi}", "${[0 for i in range(10**12)]}"))
     refuses(ModelError, r"loop\.xacro", load_robot, package / "loop.xacro")
     refuses(ModelError, "no xacro file", load_robot, TREE, xacro_args={"tool": "drill"})
