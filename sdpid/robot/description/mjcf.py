@@ -19,8 +19,7 @@ from sdpid._common.extras import require
 from sdpid._common.files import read_regular
 from sdpid.errors import ModelError
 from sdpid.robot.description.bodies import DescribedBody
-from sdpid.robot.description.loops import Closure
-from sdpid.robot.description.urdf import Kept
+from sdpid.robot.description.urdf import Closure, Kept
 from sdpid.robot.description.xml import MAX_BYTES, parse_xml
 from sdpid.robot.friction.position import Spring
 from sdpid.robot.inertia import theta_from_physical

@@ -14,9 +14,8 @@ from sdpid._common.files import Source
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots, find_robot
 from sdpid.robot.description.dh_table import DhTable
-from sdpid.robot.description.loops import add_loops, urdf_closures, urdf_passive
 from sdpid.robot.description.mjcf import read_mjcf
-from sdpid.robot.description.urdf import pinocchio_from_urdf
+from sdpid.robot.description.urdf import add_loops, pinocchio_from_urdf, urdf_closures, urdf_passive
 from sdpid.robot.description.xml import Description, expand_xacro, is_mjcf, is_xml, read_description
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.transmission import Transmission, following, of_elements, of_lengths

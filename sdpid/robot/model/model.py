@@ -17,8 +17,7 @@ from sdpid._common.files import Source
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.dh_table import DhTable
-from sdpid.robot.description.loops import Loop
-from sdpid.robot.description.urdf import pinocchio_from_urdf
+from sdpid.robot.description.urdf import Loop, pinocchio_from_urdf
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.model import regressor_kernel as kernels
