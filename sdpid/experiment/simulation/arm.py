@@ -197,9 +197,7 @@ def _friction(robot: RobotModel, terms: FrictionModel, coefficients: Array) -> d
                 load[i] = (part.size, *part.numbers)
             elif part.kind == "position":
                 # As friction of a load that is the parabola's value.
-                load[i], parabolas[i, 2:] = (1.0, 0.0, 1.0, part.size), part.numbers
-            elif part.kind == "range":
-                parabolas[i, :2] = part.numbers[:2]
+                load[i], parabolas[i] = (1.0, 0.0, 1.0, part.size), part.numbers
             elif part.kind == "jump":
                 ends = np.array([part.numbers[1], part.size])
                 key = (part.numbers[0], *way.tolist())

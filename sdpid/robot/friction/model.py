@@ -16,7 +16,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError, ModelError
-from sdpid.robot.friction.term import FrictionTerm, SampledMotion, TermParameter
+from sdpid.robot.friction.term import FrictionTerm, Range, SampledMotion, TermParameter
 from sdpid.robot.friction.terms import BY_NAME
 
 # Points of a curve on either side of standstill, and the top speed (rad/s or m/s) of a joint whose
@@ -80,11 +80,9 @@ class FrictionModel:
                 )
         names = tuple(joint_names)[first:]
         parameters = tuple(p for term in objects for p in term.parameters(names))
-        seen: set[str] = set()
-        for parameter in parameters:
-            if parameter.name in seen:
-                raise ModelError(f"friction: the parameter {parameter.name} is defined twice.")
-            seen.add(parameter.name)
+        every = [each.name for each in parameters]
+        if twice := [name for name in every if every.count(name) > 1]:
+            raise ModelError(f"friction: the parameter {twice[0]} is defined twice.")
         return cls(tuple(objects), names, parameters, first)
 
     def columns(self, velocity: Array, acceleration: Array) -> Array:
@@ -105,9 +103,7 @@ class FrictionModel:
             out[:, self.first :, own] = term.columns_in(motion, self.joint_names)
         return out
 
-    def enclosed(
-        self, velocity: tuple[Array, Array], acceleration: tuple[Array, Array]
-    ) -> tuple[Array, Array]:
+    def enclosed(self, velocity: Range, acceleration: Range) -> Range:
         """Return bounds of all columns, below and above, over ranges of motion (K, n) each.
 
         Those of terms that depend on the position too are zero.

@@ -272,8 +272,8 @@ class PositionFriction(OfPosition):
         """Yield the parabolas and their ranges, and where their signs jump."""
         widths, three = self.speed("width", len(joint_names)), np.reshape(values, (3, -1)).T
         for j, (a, b, c) in enumerate(three.tolist()):
-            yield EffortCurve("position", j, float(widths[j]), (a, b, c))
-            yield EffortCurve("range", j, 1.0, (self.lower[j], self.upper[j], 0.0))
+            numbers = (self.lower[j], self.upper[j], a, b, c)
+            yield EffortCurve("position", j, float(widths[j]), numbers)
             if widths[j] == 0.0:
                 yield EffortCurve("jump", j, 0.0, (0.0, 0.0, 0.0))
 

@@ -54,6 +54,9 @@ _STANDING = 1.0
 # Where a term acts: a recorded or another joint by name, or factors of the recorded joints.
 Place = str | tuple[float, ...]
 
+# Least and largest values.
+Range = tuple[Array, Array]
+
 # A function of joint velocities and accelerations, (M, n) each, to values (M, ...).
 OfMotion = Callable[[Array, Array], Array]
 
@@ -160,14 +163,14 @@ class EffortCurve(NamedTuple):
         ``"slope"``: `size` times the velocity. ``"constant"``: `size`. ``"jump"``: at
         the velocity `numbers[0]`, from `numbers[1]` to `size`. ``"load"``: `size` times the load
         and a sign, with share and speed of a sigmoid and the width of the sign. ``"position"``: a
-        sign of the width `size` times a parabola with the control values `numbers`, ``"range"``:
-        over positions from ``numbers[0]`` to ``numbers[1]``. Of the position less ``numbers[0]``:
-        ``"powers"``: the first one times `size`, square and cube; ``"table"``: `size` times that of
-        the points, whose count is ``numbers[1]``; ``"play"``: of an element that slips after
-        ``numbers[1]``. Smooth curves
-        without jumps, where s is the speed: ``"tanh"``: ``tanh(s/w)`` beyond a dead zone (1, dead
-        zone, w); ``"root"``: √s; ``"peak"``: ``exp(−(s/a)^b) − 1`` (a, b, 1); ``"smooth_peak"``:
-        ``exp(−(s/a)^b)·tanh(s/w)`` (a, b, w); ``"line"``: a slope between two speeds (1, from, to).
+        sign of the width `size` times a parabola over positions between the first two of
+        `numbers`, with the control values that follow. Of the position less
+        ``numbers[0]``: ``"powers"``: the first one times `size`, square and cube; ``"table"``:
+        `size` times that of the points, whose count is ``numbers[1]``; ``"play"``: of an element
+        that slips after ``numbers[1]``. Smooth curves without jumps, where s is the speed:
+        ``"tanh"``: ``tanh(s/w)`` beyond a dead zone (1, dead zone, w); ``"root"``: √s; ``"peak"``:
+        ``exp(−(s/a)^b) − 1`` (a, b, 1); ``"smooth_peak"``: ``exp(−(s/a)^b)·tanh(s/w)`` (a, b, w);
+        ``"line"``: a slope between two speeds (1, from, to).
     joint : int
         The joint it acts on.
     size : float
@@ -183,7 +186,7 @@ class EffortCurve(NamedTuple):
     kind: str
     joint: int
     size: float
-    numbers: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    numbers: tuple[float, ...] = (1.0, 1.0, 1.0)
     side: int = 0
     points: tuple[tuple[float, float], ...] = ()
 
@@ -319,12 +322,7 @@ class FrictionTerm(ABC):
             The n joints.
         """
 
-    def enclosed(
-        self,
-        velocity: tuple[Array, Array],
-        acceleration: tuple[Array, Array],
-        joint_names: Sequence[str],
-    ) -> tuple[Array, Array]:
+    def enclosed(self, velocity: Range, acceleration: Range, joint_names: Sequence[str]) -> Range:
         """Return bounds of the columns, below and above, over ranges of motion.
 
         By default those of columns that do not fall as velocity or acceleration grows.
@@ -336,10 +334,8 @@ class FrictionTerm(ABC):
         joint_names : sequence of str
             The n joints.
         """
-        low, high = (
-            self.columns(v, a, joint_names) for v, a in zip(velocity, acceleration, strict=True)
-        )
-        return low, high
+        low, high = zip(velocity, acceleration, strict=True)
+        return self.columns(*low, joint_names), self.columns(*high, joint_names)
 
     def acting(
         self, values: Array, joint_names: Sequence[str]

@@ -21,6 +21,7 @@ from sdpid.robot.friction.term import (
     JointwiseTerm,
     OpenParameter,
     Place,
+    Range,
     SampledMotion,
     TermParameter,
     check_speeds,
@@ -270,12 +271,7 @@ class Stribeck(_EffortTerm):
                 yield EffortCurve("jump", j, value, (0.0, -value, 0.0))
                 yield EffortCurve("peak", j, value, numbers)
 
-    def enclosed(
-        self,
-        velocity: tuple[Array, Array],
-        acceleration: tuple[Array, Array],
-        joint_names: Sequence[str],
-    ) -> tuple[Array, Array]:
+    def enclosed(self, velocity: Range, acceleration: Range, joint_names: Sequence[str]) -> Range:
         """Return bounds of the columns over ranges of motion: the peak is highest at the slowest.
 
         Either side of standstill bounds its own sign; zero bounds the other.

@@ -66,9 +66,9 @@ class Transmission(Shown):
     """
 
     matrix: Array
-    offset: Array | None = None
-    names: tuple[str, ...] | None = None
-    joints: tuple[str, ...] | None = None
+    offset: Array
+    names: tuple[str, ...]
+    joints: tuple[str, ...] | None
 
     def __init__(
         self,
@@ -111,14 +111,12 @@ class Transmission(Shown):
             object.__setattr__(self, name, value)
 
     def _shown(self) -> dict[str, object]:
-        return {"motors": ", ".join(self.names or ()), "joints": len(self.matrix)}
+        return {"motors": ", ".join(self.names), "joints": len(self.matrix)}
 
     def _tables(self) -> list[Table]:
-        count = range(1, len(self.matrix) + 1)
-        columns: dict[str, Any] = {"joint": list(self.joints or count)}
-        factors = zip(self.names or (), self.matrix.T.tolist(), strict=True)
-        shift = np.zeros(len(self.matrix)) if self.offset is None else self.offset
-        return [Table.of_columns({**columns, **dict(factors), "offset": shift.tolist()})]
+        columns: dict[str, Any] = {"joint": self.joints or range(1, len(self.matrix) + 1)}
+        columns |= zip(self.names, self.matrix.T.tolist(), strict=True)
+        return [Table.of_columns({**columns, "offset": self.offset.tolist()})]
 
     @classmethod
     def of(cls, given: Any) -> Transmission:
@@ -190,36 +188,33 @@ class Transmission(Shown):
                 f"'{robot.name}': {', '.join(joints)}; give one each, or name the joints."
             )
         said = Transmission(self.matrix, self.offset, self.names, joints)
-        return replace(said._moving(robot), transmission=said.to_dict())
+        return replace(said._moving(robot, joints), transmission=said.to_dict())
 
-    def _moving(self, robot: RobotModel) -> RobotModel:
-        """Return a robot whose named joints follow the motors."""
-        assert self.names is not None
-        assert self.offset is not None
-        assert self.joints is not None
+    def _moving(self, robot: RobotModel, joints: Sequence[str]) -> RobotModel:
+        """Return a robot whose joints follow the motors."""
         own, tree, base = robot.joint_names, robot.tree_joints, robot.n_base
-        if unknown := [name for name in self.joints if name not in tree[base:]]:
+        if unknown := [name for name in joints if name not in tree[base:]]:
             raise ModelError(
                 f"transmission: '{robot.name}' has no joint {', '.join(unknown)}; it has "
                 f"{', '.join(tree[base:])}."
             )
         # A joint that no row names has a motor of its own; those of others are in the place of the
         # first that is named.
-        names = [name for name in own if name not in self.joints]
+        names = [name for name in own if name not in joints]
         if repeated := [name for name in self.names if name in names]:
             raise ModelError(
                 f"transmission: {', '.join(repeated)} is a motor, and a joint that no row names."
             )
-        place = next((k for k, name in enumerate(own) if name in self.joints), None)
+        place = next((k for k, name in enumerate(own) if name in joints), None)
         if place is None:
             raise ModelError(
-                f"transmission: {', '.join(self.joints)} follow joints that no row names; name "
-                "these too."
+                f"transmission: {', '.join(joints)} follow joints that no row names; name these "
+                "too."
             )
         names[place:place] = self.names
-        rows = np.zeros((len(self.joints), len(names)))
+        rows = np.zeros((len(joints), len(names)))
         rows[:, place : place + len(self.names)] = self.matrix
-        given = dict(zip(self.joints, zip(rows, self.offset, strict=True), strict=True))
+        given = dict(zip(joints, zip(rows, self.offset, strict=True), strict=True))
         unit = dict(zip(names, np.eye(len(names)), strict=True))
         # What the coordinates before are of those now; joints that follow them go along.
         before = [given.get(name) or (unit[name], 0.0) for name in own]
@@ -304,7 +299,8 @@ def kept_in(robot: RobotModel) -> Iterator[Kept]:
 
 def following(robot: RobotModel, kept: Sequence[Kept]) -> RobotModel:
     """Return a robot whose joints hold each other as its description says."""
-    return of_lengths(robot, kept, {})._moving(robot) if kept else robot
+    joints = robot.tree_joints[robot.n_base :]
+    return of_lengths(robot, kept, {})._moving(robot, joints) if kept else robot
 
 
 def of_elements(root: Any, what: str) -> Transmission:
