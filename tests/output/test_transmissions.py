@@ -184,12 +184,14 @@ def test_equalities_hold_where_the_motors_take_the_joints(tmp_path: Path):
 
 def test_a_urdf_has_the_joints_that_follow_one_other(tmp_path: Path):
     robot = described(BARS)
-    report = sdpid.write_urdf(identified(robot), target=tmp_path / "arm.urdf")
+    # What was found at the shoulder holds the friction of the last joint, which follows it.
+    source = '<dynamics damping="3"/></joint>'.join(str(robot.urdf).rsplit("</joint>", 1))
+    report = sdpid.write_urdf(identified(robot), source=source, target=tmp_path / "arm.urdf")
     assert "has place for mimic joints alone" in report.describe()
     plain = sdpid.load_robot(tmp_path / "arm.urdf")
     assert plain.joint_names == ("joint_1", "joint_2", "joint_3", "joint_4")
-    assert plain.expansion[4, 1] == pytest.approx(0.35)
-    assert plain.offset[4] == pytest.approx(-0.3)
+    assert (plain.expansion[4, 1], plain.offset[4]) == pytest.approx((0.35, -0.3))
+    assert (source.count("damping"), plain.pin_model.damping[4]) == (1, 0.0)
     again = sdpid.load_robot(tmp_path / "arm.urdf", transmission=BARS)
     np.testing.assert_array_equal(again.expansion, robot.expansion)
 

@@ -165,12 +165,11 @@ class Urdf(RobotText):
 
     def __init__(self, robot: RobotModel, text: str) -> None:
         super().__init__(robot, f"URDF of '{robot.name}'", text)
-        _, kept = check_urdf(text, "URDF", floating=True)
+        check_urdf(text, "URDF", floating=True)
         # As they are written, in document order.
         self.root, self.bodies = read_urdf_bodies(text, "URDF")
         self.elements = self.root.findall("link")
         self._joints = {joint.get("name", ""): joint for joint in self.root.findall("joint")}
-        self._sources = {str(each.follower): next(iter(each.factors)) for each in kept}
         own = {k: body for k, body in enumerate(self.bodies) if body.carrier == body.name}
         roots = [k for k, body in own.items() if not body.moving]
         if len(roots) != 1:
@@ -219,17 +218,12 @@ class Urdf(RobotText):
         self.changed.append(self.name(body))
 
     def write_joints(self, values: Mapping[str, Mapping[str, float]]) -> None:
-        """Write the attributes of ``<dynamics>`` by joint; those of mimic joints become zero."""
-        written = dict(values)
-        for joint in self._sources:
-            source = self._source(joint)
-            # The friction identified at the source joint includes that of its followers.
-            if (
-                source in values
-                and joint not in values
-                and self._joints[joint].find("dynamics") is not None
-            ):
-                written[joint] = dict.fromkeys(values[source], 0.0)
+        """Write the attributes of ``<dynamics>`` by joint; those of followers become zero."""
+        written, held = dict(values), {key for each in values.values() for key in each}
+        for joint in (str(each.follower) for each in kept_in(self.robot) if held):
+            # The friction identified at the joints that it follows includes its own.
+            if joint not in values and self._joints[joint].find("dynamics") is not None:
+                written[joint] = dict.fromkeys(sorted(held), 0.0)
         for name, numbers in written.items():
             attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
             if attributes:
@@ -249,13 +243,6 @@ class Urdf(RobotText):
                 ((source, ratio),) = sources.items()
                 given = {"joint": source, "multiplier": repr(ratio), "offset": repr(value)}
                 child_of(self._joints[str(row)], "mimic", last=True).attrib.update(given)
-
-    def _source(self, joint: str) -> str:
-        """Return the joint at the end of a chain of mimic joints."""
-        seen = {joint}
-        while (source := self._sources.get(joint, joint)) not in seen:
-            seen.add(joint := source)
-        return joint
 
     def read_back(self, bodies: Array, *, seen: RobotModel | None = None) -> RobotModel:
         """Return the robot of the written text, which must need the efforts of the identified one.
