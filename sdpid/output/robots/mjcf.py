@@ -19,12 +19,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.elastic_gears import add_gears
 from sdpid.output.robots.export_report import ExportReport, file_errors
 from sdpid.output.robots.joint_friction import Kind, Role, Tendon, joint_attributes, of_position
-from sdpid.output.robots.mjcf_skeleton import (
-    add_tendon,
-    inertial_values,
-    mjcf_skeleton,
-    tendon_factors,
-)
+from sdpid.output.robots.mjcf_skeleton import add_tendon, inertial_values, mjcf_skeleton
 from sdpid.output.robots.position_tendons import BentFriction, tendon_elements
 from sdpid.output.robots.urdf import Urdf
 from sdpid.output.robots.written_bodies import (
@@ -40,6 +35,7 @@ from sdpid.robot.friction.position import Spring, way_of
 from sdpid.robot.friction.terms import Coulomb, Offset, RotorInertia, Viscous
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.transmission import factors_of
 
 # The attributes that an MJCF has for friction and rotor inertia.
 PLACES: dict[Kind, str] = {
@@ -362,7 +358,7 @@ class Mjcf(RobotText):
         for name, (way, attributes) in tendons.items():
             tendon, gear, shift = there.get(name, (None, 1.0, 0.0))
             if tendon is None:
-                factors = tendon_factors(robot, way)
+                factors = factors_of(robot, way)
                 tendon, shift = add_tendon(found, {"name": name}, factors), robot.way(factors)[1]
                 gear = 1.0
             given = of_position(attributes, gear, shift)

@@ -20,12 +20,10 @@ from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.xml import numbers
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.regressor_kernel import PRISMATIC
-from sdpid.robot.model.transmission import kept_in
+from sdpid.robot.model.transmission import followers
 
 # Of two balls that stand for a pin one is this share of the robot's reach along its axis.
 _ALONG = 0.1
-# Factors between joints this small are zero, but for rounding.
-_ROUNDED = 1e-12
 
 
 def inertial_values(body: Inertial) -> dict[str, str]:
@@ -157,17 +155,17 @@ def _add_equalities(robot: RobotModel, root: Any) -> None:
 
     found, tendons = etree.Element("equality"), etree.Element("tendon")
     anchor = robot.tree_joints[next(k for k in robot.independent() if k >= robot.n_base)]
-    for factors, value, row in kept_in(robot):
-        sources = {name: -x for name, x in factors.items() if name != row}
+    for joint, sources, value in followers(robot):
         if len(sources) > 1:
             # A length that stays what it is; of two joints there is an equality of their own.
-            add_tendon(tendons, {"name": f"{row}_follows"}, factors)
+            length = {**{name: -x for name, x in sources.items()}, joint: 1.0}
+            add_tendon(tendons, {"name": f"{joint}_follows"}, length)
             kept = numbers([value, 0.0, 0.0, 0.0, 0.0])
-            etree.SubElement(found, "tendon", tendon1=f"{row}_follows", polycoef=kept)
+            etree.SubElement(found, "tendon", tendon1=f"{joint}_follows", polycoef=kept)
         else:
             source, factor = next(iter(sources.items()), (anchor, 0.0))
             follows = numbers([value, factor, 0.0, 0.0, 0.0])
-            etree.SubElement(found, "joint", joint1=row, joint2=source, polycoef=follows)
+            etree.SubElement(found, "joint", joint1=joint, joint2=source, polycoef=follows)
     if len(tendons):
         root.append(tendons)
     for loop in robot.loops:
@@ -188,11 +186,3 @@ def add_tendon(parent: Any, attributes: Mapping[str, str], factors: Mapping[str,
     for joint, factor in factors.items():
         etree.SubElement(tendon, "joint", joint=joint, coef=numbers(factor))
     return tendon
-
-
-def tendon_factors(robot: RobotModel, way: Array) -> dict[str, float]:
-    """Return the joints' factors in a sum of coordinates (joints,) but those of a floating base."""
-    own = [k for k in robot.independent() if k >= robot.n_base]
-    found = np.linalg.solve(robot.expansion[own][:, robot.n_base :].T, way)
-    names = (robot.tree_joints[k] for k in own)
-    return {name: float(x) for name, x in zip(names, found, strict=True) if abs(x) > _ROUNDED}

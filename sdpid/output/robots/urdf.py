@@ -34,7 +34,7 @@ from sdpid.robot.description.urdf import (
 )
 from sdpid.robot.model.load import Root, load_robot
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.transmission import kept_in
+from sdpid.robot.model.transmission import followers
 
 # What a joint has once; of two, readers might take either.
 _OF_JOINTS = ("origin", "axis", "limit", "dynamics", "mimic")
@@ -220,9 +220,10 @@ class Urdf(RobotText):
     def write_joints(self, values: Mapping[str, Mapping[str, float]]) -> None:
         """Write the attributes of ``<dynamics>`` by joint; those of followers become zero."""
         written, held = dict(values), {key for each in values.values() for key in each}
-        for joint in (str(each.follower) for each in kept_in(self.robot) if held):
+        for joint, _, _ in followers(self.robot):
             # The friction identified at the joints that it follows includes its own.
-            if joint not in values and self._joints[joint].find("dynamics") is not None:
+            described = self._joints[joint].find("dynamics") is not None
+            if held and joint not in values and described:
                 written[joint] = dict.fromkeys(sorted(held), 0.0)
         for name, numbers in written.items():
             attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
@@ -237,12 +238,11 @@ class Urdf(RobotText):
         for element in self._joints.values():
             for mimic in element.findall("mimic"):
                 element.remove(mimic)
-        for factors, value, row in kept_in(self.robot):
-            sources = {name: -x for name, x in factors.items() if name != row}
+        for joint, sources, value in followers(self.robot):
             if len(sources) == 1:
                 ((source, ratio),) = sources.items()
                 given = {"joint": source, "multiplier": repr(ratio), "offset": repr(value)}
-                child_of(self._joints[str(row)], "mimic", last=True).attrib.update(given)
+                child_of(self._joints[joint], "mimic", last=True).attrib.update(given)
 
     def read_back(self, bodies: Array, *, seen: RobotModel | None = None) -> RobotModel:
         """Return the robot of the written text, which must need the efforts of the identified one.

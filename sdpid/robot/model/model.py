@@ -334,12 +334,7 @@ class RobotModel:
         first = [
             self.tree_joints.index(seats[name][0]) for name in self.joint_names if name in seats
         ]
-        found: list[int] = []
-        for row in [*first, *range(len(self.expansion))]:
-            rank = np.linalg.matrix_rank(self.expansion[[*found, row]])
-            if row not in found and rank > len(found):
-                found.append(row)
-        return sorted(found)
+        return sorted(independent_rows(self.expansion, [*first, *range(len(self.expansion))]))
 
     @property
     def reach(self) -> float:
@@ -702,6 +697,15 @@ class RobotModel:
         out = np.stack(columns, axis=2)
         out = 0.5 * (out + out.transpose(0, 2, 1))
         return out[0] if positions.ndim == 1 else out
+
+
+def independent_rows(matrix: Array, order: Iterable[int]) -> list[int]:
+    """Return the rows of a matrix that do not depend on those before them in an order."""
+    found: list[int] = []
+    for row in order:
+        if np.linalg.matrix_rank(matrix[[*found, row]]) > len(found):
+            found.append(row)
+    return found
 
 
 def coordinate_names(model: Any) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from sdpid._common.files import load_toml
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import ModelError
 from sdpid.robot.description.urdf import Kept
-from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.model import RobotModel, independent_rows
 
 # Motors that are dependent by more than this share cannot be told apart by any motion.
 _RANK = 1e-9
@@ -266,12 +266,11 @@ def of_lengths(
             "joints alike; leave out those that follow from others."
         )
     # Joints of their own: what nothing holds or pulls, or only with a joint before it.
-    followers, free = {each.follower for each in kept}, list[int]()
-    system = np.array(rows)
-    for k in sorted(range(len(tree)), key=lambda k: tree[k] in followers):
-        more = np.vstack([system, np.eye(len(tree))[k]])
-        if np.linalg.matrix_rank(more) > len(system):
-            free, system = [*free, k], more
+    followers, count = {each.follower for each in kept}, len(rows)
+    order = sorted(range(len(tree)), key=lambda k: tree[k] in followers)
+    whole = np.vstack([*rows, np.eye(len(tree))])
+    system = whole[(own := independent_rows(whole, [*range(count), *(count + k for k in order)]))]
+    free = [k - count for k in own[count:]]
     rest = [k for k in range(len(tree)) if k not in free]
     inverse = np.linalg.inv(system[: len(rows), rest])
     # Columns of what is kept, of the motors, and of the joints of their own.
@@ -282,19 +281,29 @@ def of_lengths(
     names = [*motors, *(tree[k] for k in free)]
     matrix = whole[:, len(kept) :]
     places = [*np.argmax(matrix[:, : len(motors)] != 0.0, axis=0).tolist(), *free]
-    order = np.argsort(places, kind="stable")
+    listed = np.argsort(places, kind="stable")
     offset = whole[:, : len(kept)] @ np.array([each.value for each in kept])
-    return Transmission(matrix[:, order], offset, [names[k] for k in order], tree)
+    return Transmission(matrix[:, listed], offset, [names[k] for k in listed], tree)
 
 
-def kept_in(robot: RobotModel) -> Iterator[Kept]:
-    """Yield how joints follow those of `RobotModel.independent`, which `following` reads again."""
-    names, E, own = robot.tree_joints, robot.expansion, robot.independent()
-    for row in (k for k in range(len(E)) if k not in own):
-        factors = np.linalg.solve(E[own].T, E[row])
-        value = robot.offset[row] - factors @ robot.offset[own]
-        held = {names[own[k]]: -float(factors[k]) for k in np.flatnonzero(abs(factors) > _ROUNDED)}
-        yield Kept({**held, names[row]: 1.0}, float(value), names[row])
+def factors_of(robot: RobotModel, way: Array) -> dict[str, float]:
+    """Return the factors of `RobotModel.independent` joints in a sum of coordinates (joints,).
+
+    Those of a floating base are not among the coordinates.
+    """
+    own = [k for k in robot.independent() if k >= robot.n_base]
+    found = np.linalg.solve(robot.expansion[own][:, robot.n_base :].T, way)
+    names = (robot.tree_joints[k] for k in own)
+    return {name: float(x) for name, x in zip(names, found, strict=True) if abs(x) > _ROUNDED}
+
+
+def followers(robot: RobotModel) -> Iterator[tuple[str, dict[str, float], float]]:
+    """Yield joints that follow those of `RobotModel.independent`, by which factors, and offsets."""
+    own = robot.independent()
+    for row in (k for k in range(len(robot.expansion)) if k not in own):
+        sources = factors_of(robot, robot.expansion[row, robot.n_base :])
+        offset = float(robot.offset[row]) - robot.way(sources)[1]
+        yield robot.tree_joints[row], sources, offset
 
 
 def following(robot: RobotModel, kept: Sequence[Kept]) -> RobotModel:
