@@ -365,10 +365,9 @@ REFUSED = {
     "has no <link2 link=...>": spoilt(URDF, "<link2 ", "<link_2 "),
     "expected 3 finite numbers": spoilt(URDF, 'xyz="0.3 0 0"/><link2', 'xyz="0.3 0"/><link2'),
     "the axis is zero": spoilt(URDF, '"0 -1 0"/></loop', '"0 0 0"/></loop'),
-    "position='left'>: expected the name": spoilt(URDF, 'position="1.9"', 'position="left"'),
-    "x is said to have no": spoilt(
-        URDF, 'passive_joint name="coupler_joint"', 'passive_joint name="x"'
-    ),
+    "has no name": spoilt(URDF, 'passive_joint name="coupler_joint"', "passive_joint"),
+    "position is 'left', expected 1": spoilt(URDF, 'position="1.9"', 'position="left"'),
+    "x is said to have no": spoilt(URDF, 'coupler_joint" position', 'x" position'),
     "no joint has a motor": spoilt(URDF, "<passive", '<passive_joint name="crank_joint"/><passive'),
     "'j4' is a ball": spoilt(ARM, 'name="j4" axis="0 0 -1" ref="0.1"', 'name="j4" type="ball"'),
     "joint equality, which is not supported": spoilt(FOLLOWER, "-2 0 0 0", "-2 1 0 0"),

@@ -21,8 +21,8 @@ from sdpid.robot.description.xml import (
     matrix_rpy,
     numbers,
     parse_xml,
-    read_triple,
-    rpy_matrix,
+    read_numbers,
+    read_placement,
     undeclared,
     xml_text,
 )
@@ -288,7 +288,7 @@ def urdf_closures(root: Any, what: str) -> tuple[Closure, ...]:
         kind = element.get("type", "?")
         if kind not in KINDS:
             raise ModelError(f"{where} is of kind '{kind}'; supported are {', '.join(KINDS)}.")
-        axis = read_triple(element.find("axis"), "xyz", where, _AXIS)
+        axis = read_numbers(element.find("axis"), "xyz", where, _AXIS)
         if not np.linalg.norm(axis) > 0.0:
             raise ModelError(f"{where}: the axis is zero; give a direction.")
         one, two = (_end(element, tag, axis, where) for tag in ("link1", "link2"))
@@ -312,16 +312,10 @@ def urdf_passive(root: Any, what: str) -> dict[str, float]:
     """
     found = {}
     for element in root.findall("passive_joint"):
-        name, text = element.get("name", ""), element.get("position", "0")
-        try:
-            found[name] = float(text)
-        except ValueError:
-            found[name] = np.inf
-        if not name or not abs(found[name]) <= LARGEST:
-            raise ModelError(
-                f"{what}: <passive_joint name='{name}' position='{text[:60]}'>: expected the name "
-                "of a joint, and about where it is, in rad or m."
-            )
+        if not (name := element.get("name", "")):
+            raise ModelError(f"{what}: a <passive_joint> has no name; give that of a joint.")
+        where = f"{what}: <passive_joint name='{name}'>, about where it is in rad or m"
+        found[name] = float(read_numbers(element, "position", where, "0", 1)[0])
     return found
 
 
@@ -379,7 +373,6 @@ def _end(element: Any, tag: str, axis: Array, where: str) -> tuple[str, Array]:
     link = None if end is None else end.get("link")
     if not link:
         raise ModelError(f"{where} has no <{tag} link=...>; it joins two links.")
-    place = np.eye(4)
-    place[:3, 3] = read_triple(end, "xyz", where)
-    place[:3, :3] = rpy_matrix(read_triple(end, "rpy", where)) @ pointing(axis)
+    place = read_placement(end, where)
+    place[:3, :3] = place[:3, :3] @ pointing(axis)
     return link, place

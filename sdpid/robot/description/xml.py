@@ -279,22 +279,25 @@ def matrix_rpy(rotation: ArrayLike) -> tuple[float, float, float]:
     return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
 
 
-def read_triple(element: Any, key: str, what: str, default: str = "0 0 0") -> Array:
-    """Return the three numbers of an element's attribute.
+def read_numbers(
+    element: Any, key: str, what: str, default: str = "0 0 0", count: int = 3
+) -> Array:
+    """Return the numbers (count,) of an element's attribute.
 
     Raises
     ------
     ModelError
-        When they are not three finite numbers of at most `LARGEST`; `what` names the element.
+        When they are not that many finite numbers of at most `LARGEST`; `what` names the element.
     """
     text = default if element is None else element.get(key, default)
     try:
         values = np.array([float(word) for word in text.split()])
     except ValueError:
         values = np.array([])
-    if values.shape != (3,) or not (np.abs(values) <= LARGEST).all():
+    if len(values) != count or not (np.abs(values) <= LARGEST).all():
         raise ModelError(
-            f"{what}: {key} is '{text}', expected 3 finite numbers of at most {LARGEST:g}."
+            f"{what}: {key} is '{text[:60]}', expected {count} finite number{'s' * (count > 1)} of "
+            f"at most {LARGEST:g}."
         )
     return values
 
@@ -307,10 +310,14 @@ def read_origin(owner: Any, what: str) -> Array:
     ModelError
         When xyz or rpy are not three numbers; `what` names the origin.
     """
-    origin = owner.find("origin")
+    return read_placement(owner.find("origin"), what)
+
+
+def read_placement(element: Any, what: str) -> Array:
+    """Return the placement (4, 4) in an element's attributes xyz and rpy, see `read_origin`."""
     placement = np.eye(4)
-    placement[:3, 3] = read_triple(origin, "xyz", what)
-    placement[:3, :3] = rpy_matrix(read_triple(origin, "rpy", what))
+    placement[:3, 3] = read_numbers(element, "xyz", what)
+    placement[:3, :3] = rpy_matrix(read_numbers(element, "rpy", what))
     return placement
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import example_robots
-from sdpid.robot.description.xml import read_origin, read_triple
+from sdpid.robot.description.xml import read_numbers, read_origin
 
 # Sides of the prism around a cylinder: its corners stand out by 2 % of the radius.
 _SIDES = 16
@@ -107,19 +107,11 @@ def link_shapes(element: Any, kind: str, robot: str, folders: Sequence[Path]) ->
 
 def _sizes(element: Any, keys: Sequence[str], what: str) -> Array:
     """Return the lengths in some attributes."""
-    sizes = []
-    for key in keys:
-        text = element.get(key)
-        try:
-            size = float(text)
-        except (TypeError, ValueError):
-            size = np.nan
-        if not np.isfinite(size):
-            raise ModelError(f"{what}: <{element.tag}> has {key}={text!r}; give numbers.")
-        if size < 0.0:
-            raise ModelError(f"{what}: <{element.tag}> has a size of {size} m, the least is 0.")
-        sizes.append(size)
-    return np.array(sizes)
+    where = f"{what}: <{element.tag}>"
+    sizes = np.array([read_numbers(element, key, where, "", 1)[0] for key in keys])
+    if (sizes < 0.0).any():
+        raise ModelError(f"{where} has a size of {sizes.min()} m, the least is 0.")
+    return sizes
 
 
 def _shape(geometry: Any, placement: Array, what: str, folders: Sequence[Path]) -> Shape:
@@ -129,12 +121,12 @@ def _shape(geometry: Any, placement: Array, what: str, folders: Sequence[Path]) 
     shape = shapes[0]
     place: dict[str, Any] = {"placement": placement}
     if shape.tag == "box":
-        return Shape("box", read_triple(shape, "size", f"{what}: <box>", ""), **place)
+        return Shape("box", read_numbers(shape, "size", f"{what}: <box>", ""), **place)
     if shape.tag in _LENGTHS:
         return Shape(shape.tag, _sizes(shape, _LENGTHS[shape.tag], what), **place)
     if shape.tag == "mesh":
         path = _find_mesh(shape.get("filename", ""), what, folders)
-        scale = read_triple(shape, "scale", f"{what}: <mesh>", "1 1 1")
+        scale = read_numbers(shape, "scale", f"{what}: <mesh>", "1 1 1")
         mesh, vertices = read_mesh(path, scale, what)
         return Shape("mesh", vertices=vertices, mesh=mesh, **place)
     raise ModelError(
