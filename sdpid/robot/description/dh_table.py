@@ -195,10 +195,6 @@ class DhTable(Settings):
         """Whether lengths along x and z are called a and d in place of d and r."""
         return any(joint.a is not None for joint in self.joints)
 
-    def _lengths(self, joint: DhJoint) -> tuple[float, float]:
-        """Return the lengths of a row along x and z."""
-        return (joint.a or 0.0, joint.d) if self._has_a else (joint.d, joint.r)
-
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints."""
@@ -272,7 +268,7 @@ class DhTable(Settings):
 
     def _steps(self, joint: DhJoint, variable: float = 0.0) -> tuple[Array, Array]:
         """Return the transforms of a row up to its joint's motion, that included, and behind it."""
-        along_x, along_z = self._lengths(joint)
+        along_x, along_z = (joint.a or 0.0, joint.d) if self._has_a else (joint.d, joint.r)
         turned, moved = (variable * (joint.kind == kind) for kind in _KINDS)
         about_z = _screw(2, joint.theta + turned, along_z + moved)
         about_x = _screw(0, joint.alpha, along_x)
@@ -280,17 +276,13 @@ class DhTable(Settings):
             return about_x @ about_z, np.eye(4)
         return about_z, about_x
 
-    def link_transform(self, index: int, variable: float) -> Array:
-        """Return the transform from frame `index` to the next at a joint variable."""
-        before, behind = self._steps(self.joints[index], variable)
-        return before @ behind
-
     def forward_kinematics(self, q: ArrayLike) -> Array:
         """Return the placements of frames 1 … n in the base link, shape (n, 4, 4)."""
         transform = self.base_transform()
         frames = []
         for i, variable in enumerate(np.asarray(q, dtype=np.float64)):
-            transform = transform @ self.link_transform(i, float(variable))
+            before, behind = self._steps(self.joints[i], float(variable))
+            transform = transform @ (before @ behind)
             frames.append(transform)
         return np.stack(frames)
 

@@ -297,7 +297,8 @@ class RobotDynamics:
         masses = self.mass_matrix(positions)
         resting = self.inverse_dynamics(positions, velocity, np.zeros_like(velocity))
         found = self._accelerations(masses, effort - resting)
-        if self._load:
+        if any(isinstance(term, LoadFriction) for term in self.terms.terms):
+            # Their friction depends on the acceleration.
             self._settle(positions, velocity, effort, found, masses=masses, resting=resting)
         return state.result(found)
 
@@ -400,11 +401,6 @@ class RobotDynamics:
         """Return the effort (K, n) of terms at any position, on joints behind motors too."""
         found = self.terms.columns(v, a) @ self.theta[10 * self.robot.n_links :]
         return np.asarray(found + self._effort_of_posed(np.zeros_like(v), v, a, kind=AtJoints))
-
-    @cached_property
-    def _load(self) -> bool:
-        """Whether there is friction that depends on the acceleration."""
-        return any(isinstance(term, LoadFriction) for term in self.terms.terms)
 
     def _effort_of_posed(
         self, q: ArrayLike, v: Array, a: Array, *, kind: type[Any] = FrictionTerm

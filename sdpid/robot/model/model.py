@@ -747,11 +747,8 @@ def each_state(
 ) -> Array:
     """Return the results (K, *shape) of an algorithm of Pinocchio, state by state."""
     data, out = model.createData(), np.empty((len(states[0]), *shape))
-    if model.nv == 1:
-        # With a single joint the binding drops the axis of length one.
-        for k, state in enumerate(zip(*states, strict=True)):
-            out[k] = np.reshape(algorithm(model, data, *state), shape)
-        return out
     for k, state in enumerate(zip(*states, strict=True)):
-        out[k] = algorithm(model, data, *state)
+        found = algorithm(model, data, *state)
+        # With a single joint the binding drops the axis of length one.
+        out[k] = np.reshape(found, shape) if model.nv == 1 else found
     return out
