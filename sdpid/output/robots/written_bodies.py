@@ -74,7 +74,7 @@ class RobotText(ABC):
 
     kind: ClassVar[str]
     root: Any
-    bodies: Sequence[DescribedBody] | Sequence[MjcfBody]
+    bodies: Sequence[DescribedBody | MjcfBody]
     elements: Sequence[Any]
     carriers: list[int]
 
@@ -115,15 +115,14 @@ class RobotText(ABC):
 
     def children(self, carrier: int) -> dict[int, FixedChild]:
         """Return the bodies fixed to one, directly or through others, by number."""
-        bodies: Sequence[DescribedBody | MjcfBody] = self.bodies
-        own = bodies[carrier]
+        own = self.bodies[carrier]
         return {
             k: FixedChild(
                 other.name,
                 np.zeros(10) if other.theta is None else other.theta,
                 relative(own.placement, other.placement),
             )
-            for k, other in enumerate(bodies)
+            for k, other in enumerate(self.bodies)
             if k != carrier and other.carrier == own.carrier
         }
 
@@ -166,7 +165,7 @@ class RobotText(ABC):
                     "or one of those cannot exist; give less, or fixed='keep'."
                 )
             for k, child in given.items():
-                self.write(k, rounded([*map(Fraction, child.body.tolist())]))
+                self.write(k, rounded(child.body.tolist()))
             if rest is None:
                 self.lumped.append(name)
                 for k in heavy:

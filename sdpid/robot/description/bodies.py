@@ -322,7 +322,7 @@ def inside(body: Body, consistency: str) -> list[Fraction] | None:
     return None
 
 
-def rounded(body: Body) -> Inertial:
+def rounded(body: Sequence[float | Fraction]) -> Inertial:
     """Return the doubles nearest to mass, center of mass and moments about it."""
     if not any(body):
         return NOTHING
@@ -364,7 +364,6 @@ def inertial_element(body: ArrayLike) -> Any:
     if not body[0] > 0.0:
         raise ModelError(f"inertial: the mass is {body[0]} kg, a URDF needs a positive one.")
     element = etree.Element("inertial")
-    exact = [Fraction(x) for x in body.tolist()]
-    for tag, attributes in written_values(rounded(exact)).items():
+    for tag, attributes in written_values(rounded(body.tolist())).items():
         etree.SubElement(element, tag, attributes)
     return element

@@ -161,7 +161,8 @@ def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] 
         if source in bundled_robots():
             table = DhTable.from_toml(bundled_folder(source) / "kinematics.toml")
             return replace(read_description(find_robot(source)), what=source), table.gravity
-        if not _is_file(Path(source)):
+        # A name may be too long for a path, which is then no file.
+        if not os.path.isfile(source):  # noqa: PTH113
             return read_description(find_robot(source)), None
     return read_description(source), None
 
@@ -182,10 +183,3 @@ def _origin(
         return replace(found.source, options=options)
     # A name in a catalog: whoever has the catalog needs no file.
     return replace(found.source, name=str(source), options={**options, "catalog": True})
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # such as a name that is too long to be one
-        return False
