@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,9 +45,9 @@ class Resistances(NamedTuple):
         found = (np.array(x)[first:] for x in (tree.friction, tree.damping, tree.armature))
         return cls(robot.expansion[first:, first:], *found)
 
-    def joined(self, *others: Resistances) -> Resistances:
-        """Return these and others."""
-        return Resistances(*map(np.concatenate, zip(self, *others, strict=True)))
+    def beside(self, others: Iterable[tuple[Any, ...]]) -> Resistances:
+        """Return these and others: a way, dry friction, damping and armature of each."""
+        return Resistances(*map(np.array, zip(*zip(*self, strict=True), *others, strict=True)))
 
 
 def described_coulomb(samples: Samples) -> Coulomb:

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sdpid._common.tables import Shown, Table, plain
 from sdpid.assurance.diagnostics.described import Resistances, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
@@ -244,10 +242,8 @@ def _errors_with(
             # Joints that follow others have what these have not.
             joints = robot.tree_joints[robot.n_base :]
             numbers[:] = [friction.values.get(joint, {}).get(attribute, 0.0) for joint in joints]
-    ways = [each.way for each in friction.tendons.values()]
-    tendons = [[x.attributes.get(a, 0.0) for a in _ATTRIBUTES] for x in friction.tendons.values()]
-    if ways:
-        held = held.joined(Resistances(np.array(ways), *np.array(tendons).T))
+    tendons = friction.tendons.values()
+    held = held.beside((x.way, *(x.attributes.get(a, 0.0) for a in _ATTRIBUTES)) for x in tendons)
     return file_errors(
         estimate,
         samples,

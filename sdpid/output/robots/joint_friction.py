@@ -18,7 +18,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.described import (
-    Resistances,
     described_coulomb,
     efforts_of_terms,
     rigid_efforts,
@@ -130,12 +129,6 @@ class JointAttributes:
     tendons: Mapping[str, Tendon] = field(default_factory=dict)
     offsets: Mapping[str, float] = field(default_factory=dict)
     bent: Mapping[str, BentFriction] = field(default_factory=dict)
-
-    def mean_of_bent(self, joint_names: Sequence[str]) -> Resistances:
-        """Return the mean dry friction of tendons over each joint's range."""
-        n = len(joint_names)
-        mean = [self.bent[x].mean if x in self.bent else 0.0 for x in joint_names]
-        return Resistances(np.eye(n), np.array(mean), np.zeros(n), np.zeros(n))
 
 
 def joint_attributes(

@@ -143,10 +143,10 @@ def write_mjcf(
     text.write_bent(friction.bent)
     text.write_offsets(friction.offsets)
     written = text.read_back(bodies)
-    held = written.resistances()
-    if friction.bent:
-        # Of friction over position its mean: a description has no more.
-        held = held.joined(friction.mean_of_bent(problem.friction.joint_names))
+    # Of friction over position its mean: a description has no more.
+    ways = zip(problem.friction.joint_names, np.eye(robot.n - robot.n_base), strict=True)
+    means = [(way, friction.bent[x].mean, 0.0, 0.0) for x, way in ways if x in friction.bent]
+    held = written.resistances().beside(means)
     errors = partial(
         file_errors,
         estimate,
@@ -432,10 +432,9 @@ class Mjcf(RobotText):
 
     def resistances(self) -> Resistances:
         """Return dry friction, damping and armature of joints and fixed tendons."""
-        joints, first = Resistances.of_joints(self.model), self.robot.n_base
-        found = [(self.robot.way(x)[0][first:], *own) for x, own in self._source.tendons()]
-        tendons = (np.array(each) for each in zip(*found, strict=True))
-        return joints.joined(Resistances(*tendons)) if found else joints
+        robot, tendons = self.robot, self._source.tendons()
+        found = ((robot.way(factors)[0][robot.n_base :], *own) for factors, own in tendons)
+        return Resistances.of_joints(self.model).beside(found)
 
     def springs(self) -> tuple[Spring, ...]:
         """Return the springs of the file."""
