@@ -253,10 +253,13 @@ def upright(robot: sdpid.RobotModel, samples: sdpid.Samples) -> sdpid.RobotModel
         direction = np.array([x[0], x[1], -1.0])
         return robot.with_gravity(9.81 * direction / np.linalg.norm(direction))
 
-    def cost(x: np.ndarray) -> float:
-        return float(sdpid.solve_wls(formulated(tilted(x), samples, always())).cost)
+    # Base parameters are the same under any gravity that is askew.
+    start = np.array([[1e-3, 1e-3], [0.03, 1e-3], [1e-3, 0.03]])
+    base = formulated(tilted(start[0]), samples, always()).base
 
-    start = np.array([[0.0, 0.0], [0.03, 0.0], [0.0, 0.03]])
+    def cost(x: np.ndarray) -> float:
+        return float(sdpid.solve_wls(formulated(tilted(x), samples, always(), base)).cost)
+
     options = {"initial_simplex": start, "xatol": 1e-3, "maxfev": 30}
     return tilted(minimize(cost, start[0], method="Nelder-Mead", options=options).x)
 
