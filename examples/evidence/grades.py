@@ -26,7 +26,7 @@ import sdpid
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.experiment.preparation.prepare import prepare
-from sdpid.output.report.grades import graded, grades, left_room, level_of
+from sdpid.output.report.subject import graded, grades, left_room, level_of
 
 # Recordings of the UR10e without a load, each of another motion.
 UR10E = (

@@ -1,24 +1,221 @@
-"""Commands that are made of tables of options, and files that hold values of these.
+"""Options as rows of tables, commands made of these, and files that hold values of options.
 
 ``--config run.toml`` reads the values of options, and a run writes its own.
 A key is the name of an option without dashes before it (``mass_max`` or ``mass-max``), or ``log``
 for the logs. Files are named relative to the folder of the TOML file.
+
+A row is a usage and its help: ``"--cutoff HZ": "Cut-off frequency of the filter, Hz."``. The usage
+has the names (of an argument its key in files of options), and the word for the value, which says
+what may be given (`KINDS` of `sdpid.cli.values`). ``...`` follows where it may be repeated, and
+``= 0.95`` where it has a default, or is ``required``. Words with bars between them are the choices.
+An option without a value is off unless given; one with two names, ``--prior/--no-prior``, is on,
+off, or left open.
 """
 
 from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
+from keyword import iskeyword
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from sdpid._common.files import printable, require_other_files
 from sdpid._common.progress import hidden_progress
-from sdpid.cli.options import Given, OptionRow, Table, panel, rows_of
-from sdpid.errors import DataError
+from sdpid.cli.values import KINDS, ValueKind
+from sdpid.errors import DataError, ExportError
+
+REQUIRED = inspect.Parameter.empty
+
+# Options that name what a command writes.
+_WRITTEN = {"out", "robots", "figure", "certificate", "proof", "repair", "write_trajectory"}
+
+
+class OptionRow(NamedTuple):
+    """An argument or option: how it is called, what may be given, and what it is for."""
+
+    name: str
+    flags: tuple[str, ...]
+    metavar: str | None
+    kind: ValueKind
+    several: bool
+    default: Any
+    help: str
+    panel: str | None
+
+    @property
+    def key(self) -> str:
+        """The name in files of options."""
+        return self.name.rstrip("_")
+
+    def label(self, value: object = True) -> str:
+        """Return what is typed for a value: ``--no-prior`` for False."""
+        return self.flags[0].split("/")[-1 if value is False else 0]
+
+    def value(self, given: Any) -> Any:
+        """Return what a value means: text for several numbers becomes their list."""
+        if self.several:
+            given = list(given or ())
+        if given is None or self.kind.parse is None:
+            return given
+        return self.kind.parse(given, self.label())
+
+    def parameter(self, callback: Callable[..., Any] | None) -> inspect.Parameter:
+        """Return the parameter that typer makes an option of."""
+        more = {**self.kind.more, "callback": callback, "is_eager": callback is not None}
+        if self.several and not self.flags:
+            # Without a variable of the environment, older versions of typer do not look up --config
+            # for an argument of any number of values.
+            more |= {"envvar": f"SDPID_{self.name.upper()}S", "show_envvar": False}
+        declare: Any = typer.Option if self.flags else typer.Argument
+        panel = {"help": self.help, "metavar": self.metavar, "rich_help_panel": self.panel}
+        kind: Any = list[self.kind.type] if self.several else self.kind.type  # type: ignore[name-defined]
+        return inspect.Parameter(
+            self.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=self.default,
+            annotation=Annotated[
+                kind | None if self.default is None else kind,
+                declare(*self.flags, **panel, **more),
+            ],
+        )
+
+
+# Rows under titles, or usages and help texts under the usual one.
+Table = tuple[OptionRow, ...] | dict[str, str]
+
+
+def panel(title: str | None, texts: Mapping[str, str]) -> tuple[OptionRow, ...]:
+    """Return the rows of a table of usages and help texts, under a title in the help."""
+    return tuple(_row(title, *row) for row in texts.items())
+
+
+def rows_of(*tables: Table) -> tuple[OptionRow, ...]:
+    """Return the rows of several tables."""
+    every = (panel(None, each) if isinstance(each, dict) else each for each in tables)
+    return tuple(row for rows in every for row in rows)
+
+
+def _row(title: str | None, usage: str, text: str) -> OptionRow:
+    """Return what a usage says."""
+    usage, _, default = usage.partition(" = ")
+    words = usage.removesuffix(" ...").split()
+    flags = tuple(word for word in words if word.startswith("-"))
+    long = [flag for flag in flags if flag.startswith("--")]
+    name = long[-1].split("/")[0].strip("-").replace("-", "_") if flags else words[0]
+    metavar = words[-1] if words[-1] not in flags else None
+    if metavar is None:
+        kind = ValueKind(bool)
+    elif metavar not in KINDS and "|" in metavar:
+        words = metavar.split("|")
+        kind = ValueKind(_choices(words), lambda chosen, _: chosen.value)
+        metavar, text = "WORD", f"{text} One of {', '.join(words)}."
+    else:
+        kind = KINDS.get(metavar, ValueKind())
+    several = usage.endswith(" ...")
+    return OptionRow(
+        name=f"{name}_" if iskeyword(name) else name,
+        flags=flags,
+        metavar=f"{metavar}..." if several and not flags else metavar,
+        kind=kind,
+        several=several,
+        default=_default(default, kind.type, flags),
+        help=text,
+        panel=title,
+    )
+
+
+def _choices(words: list[str]) -> Any:
+    """Return the type of a value that is one of some words."""
+    return Enum("Choice", {word: word for word in words}, type=str)
+
+
+def _default(text: str, kind: Any, flags: tuple[str, ...]) -> Any:
+    """Return the default that a usage states, or what is so where it states none."""
+    if kind is bool:
+        return text == "on" if text or "/" not in flags[0] else None
+    if text == "required" or not (text or flags):
+        return REQUIRED
+    return None if text in ("", "none") else kind(text)
+
+
+class Given(SimpleNamespace):
+    """What was given to a command: the values of its options, by their names."""
+
+    def __init__(
+        self, rows: Iterable[OptionRow], values: Mapping[str, Any], ctx: typer.Context | None = None
+    ) -> None:
+        found = {row.name: row.value(values.get(row.name, row.default)) for row in rows}
+        super().__init__(**found, ctx=ctx, rows={row.name: row for row in rows})
+
+    def refuse(self, names: str, why: str) -> None:
+        """Refuse options that are given.
+
+        Raises
+        ------
+        DataError
+            When one is given on the command line, or in a file with another value than its default:
+            files of earlier runs hold defaults too.
+        """
+        for row in (self.rows[name] for name in names.split()):
+            value, source = getattr(self, row.name), self.ctx.get_parameter_source(row.name)
+            if value != row.value(row.default) or source.name == "COMMANDLINE":
+                raise DataError(f"{row.label(value)}: {why}")
+
+    def chosen(self, names: str) -> dict[str, Any]:
+        """Return those of some options that have a value."""
+        found = {name: getattr(self, name) for name in names.split()}
+        return {name: value for name, value in found.items() if value is not None}
+
+    def inputs(self, *others: str) -> list[Path | str | None]:
+        """Return the files that the command reads, but for some options; beside logs mappings."""
+        from sdpid.experiment.recording.recording import mapping_beside
+
+        found: list[Path | str | None] = []
+        for row in self.rows.values():
+            if row.kind.is_file and row.name not in _WRITTEN and row.name not in others:
+                value = getattr(self, row.name)
+                files = value if row.several else [value]
+                found += files
+                if row.metavar in ("LOG", "LOG..."):
+                    found += [mapping_beside(file) for file in files if file is not None]
+        return found
+
+    def require_file(self, name: str, *beside: Path) -> None:
+        """Refuse a file that cannot be written, before the work is done; None passes.
+
+        Files that are written beside it must not be inputs either.
+
+        Raises
+        ------
+        ExportError
+            When its folder is not there, it is a folder itself, or an input.
+        """
+        file, row = getattr(self, name), self.rows[name]
+        if file is None:
+            return
+        if not file.parent.is_dir() or file.is_dir():
+            what = "is a folder" if file.is_dir() else f"there is no folder {file.parent}"
+            raise ExportError(f"cannot write {file}: {what}.")
+        label = row.label() if row.flags else str(row.metavar)
+        require_other_files(label, [file, *beside], self.inputs(name))
+
+    def show(self, values: Any, *parts: str) -> None:
+        """Print the parts that say something, the values with ``--json``, or with -q nothing."""
+        if self.quiet:
+            return
+        if self.json:
+            from sdpid._common.tables import json_text
+
+            typer.echo(json_text(values))
+        else:
+            typer.echo(printable("\n\n".join(filter(None, parts)), keep="\n"))
+
 
 # Options of every command, by the name of its function.
 TABLES: dict[str, tuple[OptionRow, ...]] = {}

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from sdpid._common.files import printable
-from sdpid.cli.commands import command, config_text
+from sdpid.cli.commands import Given, command, config_text, panel
 from sdpid.cli.endings import NO_ANSWER, command_line, complain
-from sdpid.cli.options import Given, panel
 from sdpid.cli.printing import listed
 from sdpid.errors import DataError
 
@@ -272,7 +271,7 @@ def _check(given: Given) -> None:
 def _stand(given: Given) -> None:
     """Design a motion of a robot that stands, and write it."""
     from sdpid.excitation.standing.design import design_standing
-    from sdpid.excitation.standing.write import plan_content, write_standing
+    from sdpid.excitation.standing.plan import plan_content, write_standing
     from sdpid.robot.model.load import load_robot
 
     why = "is for robots on a fixed base, and --stand for robots on legs; leave one of them out."

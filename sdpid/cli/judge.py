@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from sdpid._common.files import printable
-from sdpid.cli.commands import command
+from sdpid.cli.commands import Given, command, panel
 from sdpid.cli.endings import NO_ANSWER, OURS, complain
-from sdpid.cli.options import Given, panel
 from sdpid.errors import DataError
 
 if TYPE_CHECKING:

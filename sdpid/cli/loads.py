@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 import sdpid.cli.logs as logs
-from sdpid.cli.commands import command
+from sdpid.cli.commands import Given, command
 from sdpid.cli.endings import OURS, complain
-from sdpid.cli.options import Given
 
 if TYPE_CHECKING:
     from sdpid.assurance.drive_gains.load import Load

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sdpid.cli.commands import Given, panel, rows_of
 from sdpid.cli.endings import TERMS
-from sdpid.cli.options import Given, panel, rows_of
 from sdpid.errors import DataError
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import build_problem
 from sdpid.excitation.criterion.belief import (
     default_prior,
+    earlier_information,
     information_of_rows,
     marginal,
     nominal_bodies,
@@ -23,7 +24,6 @@ from sdpid.excitation.criterion.belief import (
     prior_information,
 )
 from sdpid.excitation.criterion.criterion import Criterion, Objective
-from sdpid.excitation.criterion.earlier import earlier_information
 from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
 from sdpid.excitation.criterion.purpose import PURPOSES, Purpose, effort_functionals, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows

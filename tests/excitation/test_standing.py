@@ -16,11 +16,10 @@ from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.search.space import SplineSpace
+from sdpid.excitation.standing.design import _joints
 from sdpid.excitation.standing.held import Held
-from sdpid.excitation.standing.rows import StandingRows
-from sdpid.excitation.standing.stance import Stance, StanceStates
-from sdpid.excitation.standing.task import _joints
-from sdpid.excitation.standing.write import write_standing
+from sdpid.excitation.standing.plan import write_standing
+from sdpid.excitation.standing.stance import Stance, StanceStates, StandingRows
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs import find_legs

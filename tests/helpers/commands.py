@@ -9,7 +9,7 @@ from typing import Any
 from typer.testing import CliRunner, Result
 
 from sdpid import cli, verifier
-from sdpid.cli.options import Given, Table, rows_of
+from sdpid.cli.commands import Given, Table, rows_of
 from tests.helpers.arm_files import write_arm
 
 VERIFIER = Path(verifier.__file__).parent

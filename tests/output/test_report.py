@@ -26,8 +26,7 @@ from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.intervals.delta_method import link_properties
 from sdpid.errors import ExportError
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.output.charts.charts import Charts, packed, scripts, style
-from sdpid.output.charts.page import number, policy
+from sdpid.output.charts.page import Charts, number, packed, policy, scripts, style
 from sdpid.output.report import parameters, report
 from sdpid.output.report.headline import headline
 from sdpid.output.report.recording import units

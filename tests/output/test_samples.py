@@ -19,10 +19,9 @@ from sdpid.friction import Coulomb, SigmoidFriction, Viscous
 from sdpid.output.robots.export_report import PLACES as URDF_PLACES
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.mjcf import PLACES
-from sdpid.output.samples import patterns
-from sdpid.output.samples.patterns import drawn_attributes
+from sdpid.output.samples import write
 from sdpid.output.samples.ranges import NAMES, Ranges, changed, changes
-from sdpid.output.samples.write import SampleWriter, write_samples
+from sdpid.output.samples.write import SampleWriter, drawn_attributes, write_samples
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import margin, physical_parameters, theta_from_physical, transform
 from sdpid.robot.model.base_parameters import generic_states
@@ -406,14 +405,14 @@ def test_files_of_others_are_not_replaced(estimate: Estimate, draws: Array, tmp_
 def test_a_failure_leaves_nothing(
     estimate: Estimate, draws: Array, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, calls = patterns.compiled, itertools.count(1)
+    real, calls = write.compiled, itertools.count(1)
 
     def refusing(*given: Any) -> object:
         if next(calls) == 3:
             raise ExportError("no")
         return real(*given)
 
-    monkeypatch.setattr(patterns, "compiled", refusing)
+    monkeypatch.setattr(write, "compiled", refusing)
     refuses(ExportError, "no", written, estimate, draws, tmp_path / "new", "urdf", "mjcf")
     assert not (tmp_path / "new").exists()
 

@@ -21,8 +21,8 @@ from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.processing import process
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.recording import joints
-from sdpid.output.report.grades import graded, grades
 from sdpid.output.report.recording import values
+from sdpid.output.report.subject import graded, grades
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import formulate

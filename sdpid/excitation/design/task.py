@@ -14,9 +14,14 @@ from sdpid._common.arrays import Array, generator, real_array
 from sdpid.errors import DataError
 from sdpid.estimation.information import Excitation
 from sdpid.estimation.prior.prior import Prior
-from sdpid.excitation.criterion.belief import nominal_bodies, prior_information
+from sdpid.excitation.criterion.belief import (
+    EarlierInformation,
+    Previous,
+    earlier_information,
+    nominal_bodies,
+    prior_information,
+)
 from sdpid.excitation.criterion.criterion import Criterion, Objective, ObjectiveKind
-from sdpid.excitation.criterion.earlier import EarlierInformation, Previous, earlier_information
 from sdpid.excitation.criterion.noise import ExpectedNoise, Given
 from sdpid.excitation.criterion.purpose import Purpose, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows

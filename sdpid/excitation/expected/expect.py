@@ -17,8 +17,7 @@ from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.posterior import FitErrors, Posterior
 from sdpid.estimation.prior.prior import Prior
-from sdpid.excitation.criterion.belief import information_of_rows
-from sdpid.excitation.criterion.earlier import EarlierInformation
+from sdpid.excitation.criterion.belief import EarlierInformation, information_of_rows
 from sdpid.excitation.criterion.noise import Given
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.expected.expected import NORMAL, Band, Duration, Expected

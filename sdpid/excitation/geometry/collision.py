@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError, ModelError
-from sdpid.excitation.geometry.measure import Measure
+from sdpid.excitation.geometry.measure import Measure, pair_reaches
 from sdpid.excitation.geometry.obstacles import Mesh, Obstacle, named_apart
 from sdpid.excitation.geometry.pairs import Pair, PairChooser
-from sdpid.excitation.geometry.reach import pair_reaches
 from sdpid.excitation.geometry.solids import Solid, body_name, obstacle_solid, robot_solids
 from sdpid.robot.model.model import RobotModel
 

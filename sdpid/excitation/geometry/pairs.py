@@ -15,8 +15,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask, generator
 from sdpid.errors import ModelError
-from sdpid.excitation.geometry.measure import Measure
-from sdpid.excitation.geometry.reach import way
+from sdpid.excitation.geometry.measure import Measure, way
 from sdpid.excitation.geometry.solids import Solid
 from sdpid.robot.model.model import RobotModel
 

@@ -14,8 +14,7 @@ from sdpid._common.arrays import is_number
 from sdpid._common.files import load_toml
 from sdpid._common.tables import Settings, plain
 from sdpid.errors import DataError
-from sdpid.excitation.limits.joint_limits import KINDS, JointLimits
-from sdpid.excitation.limits.narrowing import OTHERS, Narrowing, Values
+from sdpid.excitation.limits.joint_limits import KINDS, OTHERS, JointLimits, Narrowing, Values
 from sdpid.robot.model.model import RobotModel
 
 

@@ -16,9 +16,8 @@ from sdpid.assurance.diagnostics.held_out import (
     OURS,
 )
 from sdpid.experiment.processing.on_time import ON_TIME
-from sdpid.output.report.grades import Grade
 from sdpid.output.report.kinds import GOES, LEVELS, percent
-from sdpid.output.report.subject import NEGLIGIBLE, Judged, VerdictSubject
+from sdpid.output.report.subject import NEGLIGIBLE, Grade, Judged, VerdictSubject
 from sdpid.output.report.verdict import CARRIES, COVERED, FAILS, findings
 from sdpid.robot.description.urdf import LINK
 from sdpid.robot.friction.terms import CLASSES

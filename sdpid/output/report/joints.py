@@ -12,7 +12,7 @@ from sdpid.assurance.diagnostics.causes import JointErrors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.delta_method import joint_curves
 from sdpid.errors import SdpidError
-from sdpid.output.charts.charts import Charts
+from sdpid.output.charts.page import Charts
 from sdpid.output.report.recording import driven
 from sdpid.output.report.subject import Judged, VerdictSubject
 from sdpid.plots.figures import dress, panels

@@ -15,7 +15,7 @@ from sdpid.assurance.intervals.delta_method import link_properties, properties
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import SdpidError
 from sdpid.estimation.problem import Problem
-from sdpid.output.charts.charts import Charts
+from sdpid.output.charts.page import Charts
 from sdpid.output.report.subject import VerdictSubject
 from sdpid.output.tables.parameter_tables import base_table, ends_of, in_words, theta_table
 from sdpid.plots.estimates import row_scales, told

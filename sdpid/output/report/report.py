@@ -17,7 +17,7 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.estimation.positions.law_fit import FittedDrives
-from sdpid.output.charts.charts import Charts
+from sdpid.output.charts.page import Charts
 from sdpid.output.report import joints, parameters, recording
 from sdpid.output.report.headline import headline
 from sdpid.output.report.kinds import LEVELS

@@ -1,6 +1,6 @@
 """The verdict on an identification: checks, each of a number against a limit.
 
-Every limit is a constant here or in `grades`, with its reason; the words stand in `kinds`.
+Every limit is a constant here or in `subject`, with its reason; the words stand in `kinds`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.posterior import Posterior, gain_errors
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.report.grades import MARGIN, SMALL
 from sdpid.output.report.kinds import GOES, Level, VerdictFinding, found, listed, named, percent
-from sdpid.output.report.subject import Judged, Prediction, VerdictSubject
+from sdpid.output.report.subject import MARGIN, SMALL, Judged, Prediction, VerdictSubject
 from sdpid.robot.model.model import RobotModel
 
 # Held-out over training error. Another motion weighs the same defects differently, which makes

@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid._common.extras import require
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.charts.charts import packed, packed_indices
-from sdpid.output.charts.page import beside, rendered
+from sdpid.output.charts.page import beside, packed, packed_indices, rendered
 from sdpid.output.scene.surfaces import Surface, described_surfaces, thinned
 from sdpid.robot.inertia import physical_parameters, second_moment_from_inertia
 from sdpid.robot.model.geometry import link_placements

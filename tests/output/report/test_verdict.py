@@ -20,10 +20,10 @@ from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.effects.kinds import Tried
 from sdpid.experiment.inspection.inspect import REFUSED
 from sdpid.experiment.inspection.kinds import Finding
-from sdpid.output.report.grades import EXPLAINED, MARGIN, SMALL, Level, graded, grades
 from sdpid.output.report.headline import headline
 from sdpid.output.report.kinds import KINDS, WARNINGS
 from sdpid.output.report.report import report_html
+from sdpid.output.report.subject import EXPLAINED, MARGIN, SMALL, Level, graded, grades
 from sdpid.output.report.verdict import findings, motion, prediction_findings
 from sdpid.output.robots.export_report import urdf_errors
 from sdpid.robot.friction.model import FrictionModel
