@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -173,21 +172,12 @@ def design_excitation(
     began = time.monotonic()
     terms = FRICTION if friction is None else tuple(friction)
     given |= {"obstacles": tuple(obstacles), "friction": terms, "package_dirs": tuple(package_dirs)}
-    task = Task.of(model, Request(**given))
-    search, kept = task.search, 0.0
-    if time_limit is not None:
-        kept = min(_KEPT * (time.monotonic() - began), _KEPT_SHARE * time_limit)
-        search = replace(search, deadline=began + time_limit - kept)
-    rng = generator(seed)
-    (best, check), found, stopped = designed(
-        search,
-        task.held.homes(search.start, rng),
-        rng,
-        starts=starts,
-        began=began,
-        kept=kept,
-        progress=progress,
-    )
+    asked = Request(**given)
+    task = Task.of(model, asked)
+    search, rng = task.search, generator(seed)
+    homes, kept = task.held.homes(search.start, rng), _KEPT * (time.monotonic() - began)
+    limited = kept, _KEPT_SHARE
+    (best, check), found, stopped = designed(search, homes, rng, asked, began, limited)
     kind = search.criterion.objective.kind
     notes = [*task.notes, f"motion '{motion}': {MOTIONS[motion]}."]
     notes += [f"objective '{kind}': {WORDS[kind]}.", *_notes(found, stopped, time_limit)]

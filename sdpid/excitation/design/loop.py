@@ -6,6 +6,7 @@ import itertools
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TypeAlias
 
 import numpy as np
@@ -34,37 +35,38 @@ def designed(
     search: Search,
     homes: Iterable[Array],
     rng: np.random.Generator,
-    *,
-    starts: int,
+    asked: SimpleNamespace,
     began: float,
-    kept: float,
-    progress: bool | None,
+    kept: tuple[float, float],
 ) -> tuple[Checked, list[Candidate], bool]:
     """Return the best motion that holds all limits, what was found, and whether it was stopped.
 
     Parameters
     ----------
     search : Search
-        What is looked for, until when.
+        What is looked for, without an end.
     homes : iterable of ndarray (n,)
         Where motions begin.
     rng : numpy.random.Generator
         The only source of randomness.
-    starts : int
-        Number of starts; without a deadline no more homes are searched from.
+    asked : SimpleNamespace
+        Arguments of the design: the number of ``starts``, without a ``time_limit`` (s) no more
+        homes are searched from, and ``progress``, by default a bar on a terminal.
     began : float
         Time of `time.monotonic` at which the design began.
-    kept : float
-        Seconds after the deadline: half of them may be taken to mend what was found.
-    progress : bool, optional
-        Whether there is a progress bar; by default on a terminal.
+    kept : tuple of float
+        Seconds of a time limit, and its share at most, that are kept for the check: half of them
+        may be taken to mend what was found.
     """
-    most = starts if np.isinf(search.deadline) else None
-    total = search.most_steps(starts)
-    with counted_steps(total, began, search.deadline, progress) as step:
+    seconds = 0.0
+    if (limit := asked.time_limit) is not None:
+        seconds = min(kept[0], kept[1] * limit)
+        search = replace(search, deadline=began + limit - seconds)
+    most, total = asked.starts if limit is None else None, search.most_steps(asked.starts)
+    with counted_steps(total, began, search.deadline, asked.progress) as step:
         begun = search.random_starts(homes, rng)
         found, stopped = replace(search, step=step).run(itertools.islice(begun, most))
-    search = replace(search, deadline=search.deadline + kept / 2.0)
+    search = replace(search, deadline=search.deadline + seconds / 2.0)
     return mend(search, found), found, stopped
 
 

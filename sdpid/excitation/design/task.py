@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from types import SimpleNamespace
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, generator, real_array
 from sdpid.errors import DataError
 from sdpid.estimation.information import Excitation
-from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.belief import (
     EarlierInformation,
-    Previous,
     earlier_information,
     nominal_bodies,
     prior_information,
 )
 from sdpid.excitation.criterion.criterion import Criterion, Objective, ObjectiveKind
-from sdpid.excitation.criterion.noise import ExpectedNoise, Given
+from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.criterion.purpose import Purpose, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.design.arm import RATE_HZ, ArmInequalities
 from sdpid.excitation.geometry.collision import CollisionModel
-from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.excitation.search.search import Search
 from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
 from sdpid.excitation.search.starts import usual_states
-from sdpid.experiment.trajectory.trajectory import Trajectory
-from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.arms import require_fixed_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -75,34 +69,8 @@ _HARDLY = 0.01
 # Random motions from which usual efforts are taken.
 _USUAL = 20
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Request:
-    """The arguments of `design_excitation`; friction terms are chosen."""
-
-    robot: RobotModel | str | os.PathLike[str]
-    duration: float
-    limits: Limits | None
-    obstacles: tuple[Obstacle, ...]
-    collisions: bool
-    friction: tuple[str | FrictionTerm, ...]
-    prior: Prior | bool | None
-    previous: Previous | None
-    noise: Given
-    purpose: str
-    predict: Trajectory | None
-    objective: ObjectiveKind | None
-    motion: Motion
-    closed: bool
-    harmonics: int | None
-    start: ArrayLike | None
-    periods: int
-    torque_spread: float
-    package_dirs: tuple[str | os.PathLike[str], ...]
-    starts: int
-    time_limit: float | None
-    seed: int
-    progress: bool | None
+# The arguments of `design_excitation` by name; friction terms are chosen.
+Request: TypeAlias = SimpleNamespace
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -60,30 +61,6 @@ _REFINING = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StandingRequest:
-    """The arguments of `design_standing`; the robot is loaded, and friction terms are chosen."""
-
-    robot: RobotModel
-    duration: float
-    limits: Limits | None
-    sway: float | None
-    tilt: float
-    grip: float
-    load: float
-    friction: tuple[str | FrictionTerm, ...]
-    prior: Prior | None
-    previous: tuple[StandingPlan, ...]
-    noise: Given
-    standing: Sequence[float] | None
-    feet: Sequence[str] | None
-    starts: int
-    steps: int
-    time_limit: float | None
-    seed: int
-    progress: bool | None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class StandingTask:
     """A design, ready to be searched.
 
@@ -108,8 +85,13 @@ class StandingTask:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, request: StandingRequest) -> StandingTask:
+    def of(cls, request: SimpleNamespace) -> StandingTask:
         """Resolve and check what is asked for.
+
+        Parameters
+        ----------
+        request : SimpleNamespace
+            The arguments of `design_standing` by name; the robot is loaded, friction terms chosen.
 
         Raises
         ------
@@ -197,7 +179,7 @@ class StandingTask:
         )
 
 
-def _check(request: StandingRequest) -> None:
+def _check(request: SimpleNamespace) -> None:
     """Refuse numbers out of range."""
     for name, low, high, unit in (
         ("duration", 1.0, _LONGEST, " s"),
@@ -393,21 +375,11 @@ def design_standing(
         robot = load_robot(robot, root="free_flyer")
     given |= {"robot": robot, "friction": FRICTION if friction is None else tuple(friction)}
     given["previous"] = _plans(previous)
-    began, kept = time.monotonic(), 0.0
-    task = StandingTask.of(StandingRequest(**given))
-    search = task.search
-    if time_limit is not None:
-        kept = min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
-        search = replace(search, deadline=began + time_limit - kept)
-    (best, check), _, stopped = designed(
-        search,
-        [np.zeros(search.space.n)] * starts,
-        generator(seed),
-        starts=starts,
-        began=began,
-        kept=kept,
-        progress=progress,
-    )
+    began, asked = time.monotonic(), SimpleNamespace(**given)
+    task = StandingTask.of(asked)
+    search, kept = task.search, (_KEPT_SECONDS, _KEPT_SHARE)
+    homes = [np.zeros(search.space.n)] * starts
+    (best, check), _, stopped = designed(search, homes, generator(seed), asked, began, kept)
     notes = [*task.notes]
     if stopped:
         notes.append("the search was ended early: this is the best motion that it had found.")
