@@ -807,10 +807,10 @@ def test_bounds_hold(seed: int, size: float) -> None:
     jet[0] = rng.uniform(-1.0, 1.0, robot.n)
     efforts, origins = along(robot, jet)
     joints = np.abs(jet)[:, None, :]
-    norms = link_norms(robot.pin_model, joints)
+    norms = link_norms(robot.tree, joints)
     gravity = float(np.linalg.norm(robot.gravity))
     bounds = sum(
-        effort_norms(robot.pin_model, norms, k + 1, body, gravity)
+        effort_norms(robot.tree, norms, k + 1, body, gravity)
         for k, body in enumerate(body_sizes(robot.prior))
     )
     bounds = np.asarray(bounds)[:, 0]
@@ -833,8 +833,8 @@ def test_bounds_are_met_by_a_pendulum() -> None:
       <limit effort="1" velocity="1"/></joint></robot>"""
     robot = sdpid.load_robot(text)
     joints = np.array([1.0, 0.0, 3.0, 0.0, 0.0])[:, None, None]
-    norms = link_norms(robot.pin_model, joints)
-    (found,) = effort_norms(robot.pin_model, norms, 1, body_sizes(robot.prior)[0], 9.81)[0]
+    norms = link_norms(robot.tree, joints)
+    (found,) = effort_norms(robot.tree, norms, 1, body_sizes(robot.prior)[0], 9.81)[0]
     assert found == pytest.approx(2.0 * 0.25 * 3.0 + 2.0 * 0.5 * 9.81)
 
 

@@ -24,24 +24,11 @@ from sdpid._common.arrays import Array, Indices
 from sdpid.errors import SolverError
 from sdpid.excitation.geometry.obstacles import Plane
 from sdpid.excitation.geometry.solids import Solid
-from sdpid.robot.model.jacobians import local_jacobian
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.regressor_kernel import PRISMATIC
 
 Ball = tuple[Array, float]
 Core = tuple[Array, float]
-
-
-def joint_axes(robot_model: Any) -> tuple[Array, Array]:
-    """Return the directions of turning and of sliding in the joints' own frames, (joints, 3)."""
-    import pinocchio as pin
-
-    data = robot_model.createData()
-    pin.computeJointJacobians(robot_model, data, pin.neutral(robot_model))
-    turning, sliding = np.zeros((2, robot_model.njoints, 3))
-    for i in range(1, robot_model.njoints):
-        column = local_jacobian(robot_model, data, i)[:, robot_model.joints[i].idx_v]
-        sliding[i], turning[i] = column[:3], column[3:]
-    return turning, sliding
 
 
 def way(robot_model: Any, first: int, second: int) -> tuple[list[int], list[int]]:
@@ -57,7 +44,9 @@ class _Reaches:
     def __init__(self, robot: RobotModel, bounds: Array) -> None:
         self._model, expansion = robot.pin_model, robot.expansion
         self._placements = [np.array(M.homogeneous) for M in self._model.jointPlacements]
-        self._turning, self._sliding = joint_axes(self._model)
+        # Axes by Pinocchio's number of the joint; the base has none.
+        self._axes = np.vstack([np.zeros(3), robot.tree.axis])
+        self._slides = np.append(False, robot.tree.kind == PRISMATIC)
         # Limits of Pinocchio's joints from those of the coordinates; those of sliding ones count.
         self._range = np.tile(robot.offset, (2, 1))
         for column in range(robot.n):
@@ -94,26 +83,22 @@ class _Reaches:
 
     def _distance(self, joint: int, ball: Ball, exact: Core | None) -> float:
         """Return the farthest from an axis, or one for a sliding joint."""
-        axis = self._turning[joint]
-        if not axis.any():
+        if self._slides[joint]:
             return 1.0
         points, radius = (ball[0][None], ball[1]) if exact is None else exact
-        return float(np.linalg.norm(np.cross(points, axis), axis=1).max()) + radius
+        return float(np.linalg.norm(np.cross(points, self._axes[joint]), axis=1).max()) + radius
 
     def _swept(self, joint: int, ball: Ball, sign: float) -> Ball:
         """Return a ball about all places of a ball that moves with a joint."""
         center, radius = ball
-        axis = self._turning[joint]
-        if axis.any():
+        axis = self._axes[joint]
+        if not self._slides[joint]:
             on_axis = (center @ axis) * axis
             return on_axis, radius + float(np.linalg.norm(center - on_axis))
         lower, upper = self._range[:, self._model.joints[joint].idx_v]
         if not np.isfinite([lower, upper]).all():
             return center, np.inf
-        return (
-            center + sign * 0.5 * (lower + upper) * self._sliding[joint],
-            radius + 0.5 * (upper - lower),
-        )
+        return center + sign * 0.5 * (lower + upper) * axis, radius + 0.5 * (upper - lower)
 
 
 def pair_reaches(
@@ -361,11 +346,6 @@ class Capsules:
         self._normals, points = np.array(planes).reshape(-1, 2, 3).swapaxes(0, 1)
         self._offsets = np.einsum("si,si->s", self._normals, points)
         self._flat = (self._normals != 0.0).any(axis=1)[pairs[:, 1]]
-        model = robot.pin_model
-        self._turning, self._sliding = joint_axes(model)
-        self._frames = [np.array(M.homogeneous) for M in model.jointPlacements]
-        self._parents = [int(parent) for parent in model.parents]
-        self._columns = [model.joints[i].idx_v for i in range(model.njoints)]
 
     def below(self, q: Array) -> Array:
         """Return lower bounds (K, S) of the signed distances at joint positions (K, n)."""
@@ -382,18 +362,16 @@ class Capsules:
 
     def _placements(self, q: Array) -> Array:
         """Return the placements of all joints, the base first, (K, joints, 4, 4)."""
-        values = q @ self._robot.expansion.T + self._robot.offset
-        out = np.empty((len(q), len(self._frames), 4, 4))
-        out[:, 0] = np.eye(4)
-        for i in range(1, len(self._frames)):
-            own, value = np.tile(np.eye(4), (len(q), 1, 1)), values[:, self._columns[i]]
-            x, y, z = self._turning[i]
-            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            sine, versine = np.sin(value)[:, None, None], 1.0 - np.cos(value)[:, None, None]
-            own[:, :3, :3] += sine * cross + versine * (cross @ cross)
-            own[:, :3, 3] = value[:, None] * self._sliding[i]
-            out[:, i] = out[:, self._parents[i]] @ self._frames[i] @ own
-        return out
+        tree, robot = self._robot.tree, self._robot
+        values = (q @ robot.expansion.T + robot.offset)[:, tree.first_v, None, None]
+        own = np.tile(np.eye(4), (len(q), len(tree.parent), 1, 1))
+        own[..., :3, :3] = np.cos(values) * tree.turn[:, 0] + np.sin(values) * tree.turn[:, 1]
+        own[..., :3, :3] += tree.turn[:, 2]
+        own[..., :3, 3] = tree.place[:, 0] + values[..., 0] * tree.place[:, 1]
+        out = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
+        for i, parent in enumerate(tree.parent):
+            out.append(out[parent + 1] @ own[:, i])
+        return np.stack(out, axis=1)
 
 
 def _capsule(solid: Solid) -> tuple[Array, float]:

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,7 @@ from sdpid.excitation.limits.inequalities import ToolSpeedWithin
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.regressor_kernel import PRISMATIC, Tree
 
 # Derivatives of the joints' positions that enter: the second derivative of an effort has the
 # fourth, snap.
@@ -244,24 +245,25 @@ def _turning(spin: Array) -> Array:
     return np.stack(rows)
 
 
-def link_norms(model: Any, joints: Array) -> LinkNorms:
+def link_norms(tree: Tree, joints: Array) -> LinkNorms:
     """Return the jets of the motion of a tree's links.
 
     Parameters
     ----------
-    model : pinocchio.Model
+    tree : Tree
         Of turning and sliding joints on a fixed base.
     joints : ndarray, shape (5, C, nv)
         Bounds on the sizes of the positions (of sliding joints) and their four derivatives.
     """
     zero = np.zeros(joints.shape[:2])
     norms = LinkNorms([_turning(zero[1:])], [zero[1:]], [zero], [zero])
-    for i in range(1, model.njoints):
-        before = model.parents[i]
-        own, turning = joints[:, :, model.joints[i].idx_v], norms.turning[before]
-        step = float(np.linalg.norm(model.jointPlacements[i].translation)) * turning
-        spin = norms.spin[before]
-        if _slides(model.joints[i]):
+    lengths = np.linalg.norm(tree.place[:, 0], axis=1)
+    for kind, before, first, length in zip(
+        tree.kind, tree.parent + 1, tree.first_v, lengths, strict=True
+    ):
+        own, turning = joints[:, :, first], norms.turning[before]
+        step, spin = length * turning, norms.spin[before]
+        if kind == PRISMATIC:
             step = step + product(turning, own, _ORDERS + 1)
         else:
             spin = spin + product(turning, own[1:], _ORDERS)
@@ -273,14 +275,14 @@ def link_norms(model: Any, joints: Array) -> LinkNorms:
 
 
 def effort_norms(
-    model: Any, norms: LinkNorms, link: int, sizes: Sequence[float], gravity: float
+    tree: Tree, norms: LinkNorms, link: int, sizes: Sequence[float], gravity: float
 ) -> Array:
     """Return the jets (3, C, nv) of what one body adds to the efforts.
 
     Parameters
     ----------
-    model : pinocchio.Model
-        The tree.
+    tree : Tree
+        The kinematics.
     norms : LinkNorms
         The motion of its links.
     link : int
@@ -298,18 +300,14 @@ def effort_norms(
     spinning = product(product(turning, turning, _ORDERS), norms.spin[link], _ORDERS)
     torque = inertia * spinning[1:] + moment * product(turning, acceleration, 3)
     arm = np.zeros_like(torque)
-    found = np.zeros((*torque.shape, model.nv))
+    found = np.zeros((*torque.shape, len(tree.shared)))
     while link > 0:
-        joint, before = model.joints[link], model.parents[link]
-        whole = force if _slides(joint) else torque + product(arm, force, 3)
-        found[:, :, joint.idx_v] = product(norms.turning[before], whole, 3)
+        kind, before, first = (x[link - 1] for x in (tree.kind, tree.parent + 1, tree.first_v))
+        whole = force if kind == PRISMATIC else torque + product(arm, force, 3)
+        found[:, :, first] = product(norms.turning[before], whole, 3)
         arm = arm + norms.offset[link][:3]
         link = before
     return found
-
-
-def _slides(joint: Any) -> bool:
-    return bool(joint.shortname().startswith("JointModelP"))
 
 
 def _robot_norms(robot: RobotModel, cells: Cells) -> LinkNorms:
@@ -317,7 +315,7 @@ def _robot_norms(robot: RobotModel, cells: Cells) -> LinkNorms:
     # Mimic joints move with the joint that they follow, and from an offset.
     joints = cells.sizes @ np.abs(robot.expansion).T
     joints[0] += np.abs(robot.offset)
-    return link_norms(robot.pin_model, joints)
+    return link_norms(robot.tree, joints)
 
 
 def _along(cells: Cells, left: Array, right: Array, jets: Array) -> tuple[Array, Array]:
@@ -390,9 +388,9 @@ class TorqueMeasure(CurveMeasure):
         links = np.zeros((3, len(cells.start), robot.n))
         spread = np.zeros_like(links)
         for k, (body, deviation) in enumerate(zip(*model.sizes, strict=True), 1):
-            links += effort_norms(robot.pin_model, norms, k, body, gravity) @ E
+            links += effort_norms(robot.tree, norms, k, body, gravity) @ E
             if model.deviations:
-                own = effort_norms(robot.pin_model, norms, k, deviation, gravity) @ E
+                own = effort_norms(robot.tree, norms, k, deviation, gravity) @ E
                 spread = np.hypot(spread, own) if model.independent else spread + own
         return links, spread
 
