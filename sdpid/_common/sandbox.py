@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -151,10 +152,11 @@ def _result(folder: Path, status: int, subject: str, error: type[SdpidError], li
         )
     if result.stat().st_size > _LARGEST_RESULT:
         raise error(f"{subject}: cannot be read: it holds too many names.")
-    answer = json.loads(result.read_text(encoding="utf-8"))
+    text = result.read_text(encoding="utf-8")
+    answer = json.loads(text, object_hook=partial(_decoded, folder))
     kind = answer.get("error")
     if kind is None:
-        return _decoded(answer["result"], folder)
+        return answer["result"]
     if kind == "MemoryError":
         raise error(
             f"{subject}: needs more memory than the limit of {limit / 1e9:.3g} GB; the file is "
@@ -172,19 +174,18 @@ def _child(name: str) -> None:
     request = json.loads((folder / _REQUEST).read_text(encoding="utf-8"))
     _limit(request["memory"], request["seconds"])
     module, function = request["function"]
-    answer: dict[str, Any]
     try:
         value = getattr(importlib.import_module(module), function)(*request["arguments"])
-        answer = {"result": _encoded(value, folder)}
+        text = json.dumps({"result": value}, default=partial(_encoded, folder))
     except SdpidError as cause:
         kind = next(kind for kind in type(cause).__mro__ if kind.__name__ in errors.__all__)
-        answer = {"error": kind.__name__, "message": str(cause)}
+        text = json.dumps({"error": kind.__name__, "message": str(cause)})
     except MemoryError:
-        answer = {"error": "MemoryError"}
+        text = json.dumps({"error": "MemoryError"})
     except Exception as cause:  # a damaged file makes a library raise almost anything
         line = (str(cause).splitlines() or [""])[0][:200]
-        answer = {"error": "Exception", "message": line or type(cause).__name__}
-    (folder / _RESULT).write_text(json.dumps(answer), encoding="utf-8")
+        text = json.dumps({"error": "Exception", "message": line or type(cause).__name__})
+    (folder / _RESULT).write_text(text, encoding="utf-8")
 
 
 def _limit(memory: int, seconds: int) -> None:
@@ -202,29 +203,19 @@ def _limit(memory: int, seconds: int) -> None:
             resource.setrlimit(kind, (most, hard))
 
 
-def _encoded(value: Any, folder: Path) -> Any:
-    """Return a result ready for JSON; arrays are written to files of their own."""
-    if isinstance(value, np.ndarray):
-        number = sum(1 for _ in folder.glob("*.npy"))
-        np.save(folder / f"{number}.npy", value, allow_pickle=False)
-        return {_ARRAY: number}
-    if isinstance(value, np.generic):
+def _encoded(folder: Path, value: Any) -> Any:
+    """Return what stands in JSON for an array, which gets a file of its own, or for a number."""
+    if not isinstance(value, np.ndarray):
         return value.item()
-    if isinstance(value, dict):
-        return {str(key): _encoded(entry, folder) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_encoded(entry, folder) for entry in value]
-    return value
+    number = sum(1 for _ in folder.glob("*.npy"))
+    np.save(folder / f"{number}.npy", value, allow_pickle=False)
+    return {_ARRAY: number}
 
 
-def _decoded(value: Any, folder: Path) -> Any:
-    """Return a result with its arrays."""
-    if isinstance(value, list):
-        return [_decoded(entry, folder) for entry in value]
-    if not isinstance(value, dict):
-        return value
+def _decoded(folder: Path, value: dict[str, Any]) -> Any:
+    """Return the array that an object in JSON stands for, or the object."""
     if set(value) != {_ARRAY}:
-        return {key: _decoded(entry, folder) for key, entry in value.items()}
+        return value
     file = folder / f"{int(value[_ARRAY])}.npy"
     if file.stat().st_size <= _MAPPED:
         return np.load(file, allow_pickle=False)
