@@ -32,8 +32,7 @@ from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
-from sdpid.excitation.expected.expect import expect
-from sdpid.excitation.expected.rehearsal import rehearse
+from sdpid.excitation.expected.expect import expect, rehearse
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.simulate import plant_parts
 from sdpid.experiment.trajectory.trajectory import Trajectory

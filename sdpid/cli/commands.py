@@ -1,4 +1,4 @@
-"""Options as rows of tables, commands made of these, and files that hold values of options.
+"""Options as rows of tables, commands made of these, files of options, and what is printed.
 
 ``--config run.toml`` reads the values of options, and a run writes its own.
 A key is the name of an option without dashes before it (``mass_max`` or ``mass-max``), or ``log``
@@ -15,13 +15,14 @@ off, or left open.
 from __future__ import annotations
 
 import inspect
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from keyword import iskeyword
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -29,6 +30,11 @@ from sdpid._common.files import printable, require_other_files
 from sdpid._common.progress import hidden_progress
 from sdpid.cli.values import KINDS, ValueKind
 from sdpid.errors import DataError, ExportError
+
+if TYPE_CHECKING:
+    from sdpid.assurance.diagnostics.validation import Validation
+    from sdpid.experiment.inspection.kinds import Finding
+
 
 REQUIRED = inspect.Parameter.empty
 
@@ -370,3 +376,43 @@ def command(*tables: Table, **callbacks: Callable[..., Any]) -> Callable[[Comman
         return run
 
     return decorate
+
+
+def listed(title: str, lines: Iterable[object]) -> str:
+    """Return indented lines under a title, line ends within them replaced; of none, nothing."""
+    shown = [f"  {printable(str(line))}" for line in lines]
+    return "\n".join((f"{title}:", *shown)) if shown else ""
+
+
+def findings_listed(findings: Iterable[Finding]) -> str:
+    """Return what is wrong with recordings that are used, a line each."""
+    return listed("findings", (each.line() for each in findings))
+
+
+def errors_table(fits: dict[str, Validation]) -> str:
+    """Return the errors of every joint, a pair of columns for each fit."""
+    from sdpid._common.tables import Table
+
+    first = next(iter(fits.values()))
+    header = ["joint"]
+    # A base that is held in one recording may move in another.
+    free = next((fit.floating for fit in fits.values() if fit.floating is not None), None)
+    base = () if free is None else tuple(name for name, _ in free.rows)
+    columns: list[list[Any]] = [[*first.joint_names[first.n_base :], *base]]
+    for label, fit in fits.items():
+        header += [f"{label} RMSE [N.m]", "NRMSE [%]"]
+        missed: list[float | None] = [None] * len(base)
+        if fit.floating is not None:
+            missed = [size for _, size in fit.floating.rows]
+        own = fit.told
+        for values, more in ((own.rmse, missed), (100.0 * own.nrmse, [None] * len(base))):
+            rows = zip(values.tolist(), own.rows.tolist(), strict=True)
+            columns.append([*[x if k else None for x, k in rows][fit.n_base :], *more])
+    table = Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)
+    silent = [
+        name
+        for j, name in enumerate(first.joint_names)
+        if any(math.isinf(fit.told.nrmse[j]) for fit in fits.values())
+    ]
+    note = f"\nno effort of which errors are a share: {', '.join(silent)}" if silent else ""
+    return f"in motion:\n{table}{note}"

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from sdpid._common.files import printable
-from sdpid.cli.commands import Given, command, config_text, panel
+from sdpid.cli.commands import Given, command, config_text, listed, panel
 from sdpid.cli.endings import NO_ANSWER, command_line, complain
-from sdpid.cli.printing import listed
 from sdpid.errors import DataError
 
 if TYPE_CHECKING:

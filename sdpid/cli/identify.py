@@ -12,9 +12,8 @@ import typer
 import sdpid.cli.logs as logs
 from sdpid._common.extras import require
 from sdpid._common.files import Source, printable
-from sdpid.cli.commands import Given, command, config_text
+from sdpid.cli.commands import Given, command, config_text, errors_table, findings_listed, listed
 from sdpid.cli.endings import NO_ANSWER, OURS, command_line, complain
-from sdpid.cli.printing import errors_table, findings_listed, listed
 
 if TYPE_CHECKING:
     from sdpid.output.robots.export_report import ExportReport

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from sdpid.cli.commands import Given, command
+from sdpid.cli.commands import Given, command, listed
 from sdpid.cli.logs import LOG, PERIODS, READING, WITHOUT_EFFORT, periods, reading
-from sdpid.cli.printing import listed
 
 
 @command(

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from sdpid.cli.commands import Given, command, read_config
+from sdpid.cli.commands import Given, command, findings_listed, listed, read_config
 from sdpid.cli.logs import LOGS_OF_A_RUN, PROBLEM, formulated
-from sdpid.cli.printing import findings_listed, listed
 from sdpid.errors import DataError
 
 if TYPE_CHECKING:

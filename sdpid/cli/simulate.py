@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sdpid._common.extras import require
-from sdpid.cli.commands import Given, command
-from sdpid.cli.printing import listed
+from sdpid.cli.commands import Given, command, listed
 from sdpid.errors import DataError, ExportError, SdpidError
 
 if TYPE_CHECKING:

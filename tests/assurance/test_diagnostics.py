@@ -24,7 +24,7 @@ from sdpid.assurance.diagnostics.provenance import collinear_friction, in_words,
 from sdpid.assurance.diagnostics.rest import REST_SECONDS, REST_SPEED, moving_and_resting
 from sdpid.assurance.diagnostics.validation import Validation, validate_dynamics, validate_robot
 from sdpid.assurance.tables.csv_table import read_base_table
-from sdpid.cli.printing import errors_table
+from sdpid.cli.commands import errors_table
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem

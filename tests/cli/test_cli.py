@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.cli import endings, printing, values
+from sdpid.cli import commands, endings, values
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.friction.terms import BY_NAME
 from sdpid.workflow.result import NAMES
@@ -517,7 +517,7 @@ def test_what_a_terminal_would_obey_is_not_printed(
     assert not any(line.startswith("PROVEN") for line in done.stdout.splitlines())
     assert len(done.stderr.splitlines()) == 1
     assert not set(done.output) & set("\x1b\u202e\x9b")
-    text = printing.listed("notes", [HOSTILE])
+    text = commands.listed("notes", [HOSTILE])
     assert len(text.splitlines()) == 2
     assert not set(text) & set("\x1b\u202e\x9b")
 

@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid.errors import DataError, InfeasibleError, MissingExtraError, ModelError
 from sdpid.excitation.criterion.criterion import Criterion, ObjectiveKind
-from sdpid.excitation.design import loop
-from sdpid.excitation.design.loop import checked, mend
 from sdpid.excitation.geometry.obstacles import table
 from sdpid.excitation.plan.plan import Plan
-from sdpid.excitation.search.search import Search
-from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search import search
+from sdpid.excitation.search.search import Search, checked, mend
+from sdpid.excitation.search.space import random_start
 from sdpid.experiment.trajectory.curve import Spline
 from tests.helpers.plans import small_plan
 from tests.helpers.refusals import refuses
@@ -124,7 +123,7 @@ def test_what_is_delivered_is_hardly_worse_than_what_was_found(
         worse.append(best.value - found[0].value)
         return best, check
 
-    monkeypatch.setattr(loop, "mend", mended)
+    monkeypatch.setattr(search, "mend", mended)
     # The tool is too fast between the instants of the grid.
     plan = sdpid.design_excitation(
         "denso_vp6242", limits=sdpid.Limits(tool_speed=0.5), collisions=False, **QUICK

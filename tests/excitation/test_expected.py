@@ -16,10 +16,9 @@ from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.belief import EarlierInformation
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.expected.expect import _kept_above, _posterior, _sums, expect
+from sdpid.excitation.expected.expect import _kept_above, _posterior, _sums, expect, rehearse
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.open_directions import OpenDirection, open_directions
-from sdpid.excitation.expected.rehearsal import rehearse
 from sdpid.experiment.plant.default_motion import default_motion
 from tests.helpers.robots import TREE_MIMIC, small_arm
 

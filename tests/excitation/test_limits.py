@@ -20,10 +20,15 @@ from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Box, table
 from sdpid.excitation.limits.check import LimitCheck, LimitRow, check_trajectory
-from sdpid.excitation.limits.inequalities import ToolSpeedWithin, TorqueWithin, tool_frames
 from sdpid.excitation.limits.joint_limits import KINDS, _within_mimics, rest_to_rest
 from sdpid.excitation.limits.limits import Limits
-from sdpid.excitation.limits.measures import effort_norms, link_norms
+from sdpid.excitation.limits.measures import (
+    ToolSpeedWithin,
+    TorqueWithin,
+    effort_norms,
+    link_norms,
+    tool_frames,
+)
 from sdpid.excitation.limits.torque import TorqueModel, body_sizes
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.trajectory.curve import Curve, SampledCurve, Spline

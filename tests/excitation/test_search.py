@@ -18,8 +18,14 @@ from sdpid.errors import DataError
 from sdpid.excitation.search import search as module
 from sdpid.excitation.search.ipopt import INTERRUPTED, Found, minimize
 from sdpid.excitation.search.search import Candidate, Search, counted_steps
-from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
-from sdpid.excitation.search.starts import largest_step, linear_limits, random_start
+from sdpid.excitation.search.space import (
+    FourierSpace,
+    Space,
+    SplineSpace,
+    largest_step,
+    linear_limits,
+    random_start,
+)
 from tests.helpers.refusals import refuses
 from tests.helpers.searches import search_of
 

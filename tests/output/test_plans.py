@@ -23,7 +23,7 @@ from sdpid.excitation.search.ipopt import INTERRUPTED
 from sdpid.experiment.trajectory.reading import read_trajectory
 from sdpid.experiment.trajectory.trajectory import Trajectory, played
 from sdpid.output.charts.page import number
-from sdpid.output.plans import motion_files, write
+from sdpid.output.plans import write
 from sdpid.output.plans.page import plan_html
 from sdpid.output.plans.write import write_plan
 from tests.helpers.browser import Tab, look
@@ -66,7 +66,7 @@ def at(motion: Trajectory, time: Array, derivative: int = 0) -> Array:
 
 def test_the_table_holds_the_motion(motion: Trajectory, tmp_path: Path) -> None:
     path = tmp_path / "trajectory.csv"
-    motion_files.write_motion_csv(motion, path)
+    write.write_motion_csv(motion, path)
     with path.open(newline="") as file:
         header, *rows = csv.reader(file)
     quantities = ("position", "velocity", "acceleration")
@@ -86,7 +86,7 @@ def test_the_table_holds_the_motion(motion: Trajectory, tmp_path: Path) -> None:
 def test_the_message_holds_the_motion(motion: Trajectory, tmp_path: Path) -> None:
     yaml = pytest.importorskip("yaml")
     path = tmp_path / "joint_trajectory.yaml"
-    motion_files.write_joint_trajectory(motion, path)
+    write.write_joint_trajectory(motion, path)
     message = yaml.safe_load(path.read_text())
     assert set(message) == {"header", "joint_names", "points"}
     assert message["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
@@ -137,7 +137,7 @@ def program(text: str) -> dict[str, Any]:
 def test_the_program_plays_the_motion(motion: Trajectory, tmp_path: Path) -> None:
     """Its loop, run here at two rates of the controller, gives the motion at every step."""
     path = tmp_path / "excitation.script"
-    motion_files.write_urscript(motion, path)
+    write.write_urscript(motion, path)
     text = path.read_text()
     assert text.isascii()
     found = program(text)
@@ -161,12 +161,12 @@ def test_the_program_plays_the_motion(motion: Trajectory, tmp_path: Path) -> Non
 
 def test_the_program_is_for_six_joints(tmp_path: Path) -> None:
     seven, path = spline_motion((*SIX, "joint_7")), tmp_path / "a.script"
-    refuses(ExportError, r"7 joints.*have 6", motion_files.write_urscript, seven, path)
+    refuses(ExportError, r"7 joints.*have 6", write.write_urscript, seven, path)
     assert not path.exists()
 
 
 def test_pieces_follow_and_join(motion: Trajectory) -> None:
-    made = motion_files.pieces(motion)
+    made = write.pieces(motion)
     for one, other in pairwise(made):
         assert one.end == pytest.approx(other.begin, abs=1e-12)
         assert np.allclose(one.coefficients.sum(axis=0), other.coefficients[0], atol=1e-9)
@@ -174,7 +174,7 @@ def test_pieces_follow_and_join(motion: Trajectory) -> None:
     for piece in made:
         q = np.vander(s, 6, increasing=True) @ piece.coefficients
         expected = at(motion, piece.begin + s * (piece.end - piece.begin))
-        assert np.abs(q - expected).max() < 1.5 * motion_files.TOLERANCE
+        assert np.abs(q - expected).max() < 1.5 * write.TOLERANCE
 
 
 # The page of a plan: valid, alone, told in words, and the arm moves.

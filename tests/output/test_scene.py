@@ -17,8 +17,16 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.charts.page import policy
-from sdpid.output.scene.scene import Scene, identified_scene, inertia_ellipsoid, recorded_motion
-from sdpid.output.scene.surfaces import Surface, described_surfaces, hull, thinned
+from sdpid.output.scene.scene import (
+    Scene,
+    Surface,
+    described_surfaces,
+    hull,
+    identified_scene,
+    inertia_ellipsoid,
+    recorded_motion,
+    thinned,
+)
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia, theta_from_physical
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.load import load_robot

@@ -18,14 +18,13 @@ from sdpid.excitation.criterion.belief import Previous
 from sdpid.excitation.criterion.criterion import WORDS, ObjectiveKind
 from sdpid.excitation.criterion.noise import Given
 from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.design.loop import designed
 from sdpid.excitation.design.task import MOTIONS, Motion, Request, Task
 from sdpid.excitation.expected.expect import expect
 from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.plan import Plan, settings_of
 from sdpid.excitation.search.ipopt import INTERRUPTED
-from sdpid.excitation.search.search import Candidate, require_search
+from sdpid.excitation.search.search import Candidate, designed, require_search
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.arms import require_open_chain

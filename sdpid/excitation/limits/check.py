@@ -14,7 +14,6 @@ from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
-from sdpid.excitation.limits.inequalities import ToolSpeedWithin
 from sdpid.excitation.limits.joint_limits import JointLimits, unit_of
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.measures import (
@@ -23,6 +22,7 @@ from sdpid.excitation.limits.measures import (
     Extremes,
     MotionMeasure,
     ToolMeasure,
+    ToolSpeedWithin,
     TorqueMeasure,
     extremes,
     with_tolerance,

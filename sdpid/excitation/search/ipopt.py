@@ -12,7 +12,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid._common.signals import Interrupts, noted_interrupts
-from sdpid.excitation.search.inequalities import InstantRows
+from sdpid.excitation.search.space import InstantRows
 
 # A step that no longer changes value or limits by this share ends the search; a hundred times that
 # does so after some steps in a row. What is found is checked anew and exactly, elsewhere.

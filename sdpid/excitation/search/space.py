@@ -1,16 +1,25 @@
-"""Motions that a search chooses among: positions that are linear in free numbers."""
+"""Motions that a search chooses among: linear in free numbers, with limits as functions of these.
+
+Limits that are no linear functions are held on a grid. Between its instants they may be broken by a
+little: the check that follows the search is exact, and says where; then the search goes on with
+those instants too, or with a wider margin.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.kept import last_kept
 from sdpid.errors import DataError
+from sdpid.excitation.geometry.collision import CollisionModel
+from sdpid.excitation.limits.joint_limits import JointLimits
 from sdpid.experiment.trajectory.curve import Curve, Spline
 from sdpid.experiment.trajectory.fourier import FourierSeries
 
@@ -260,3 +269,257 @@ class FourierSpace(Space):
 
     def _constant(self, first: Array) -> Array:
         return np.asarray(np.arange(len(first)) == 0, dtype=np.float64)
+
+
+# What a search keeps of a limit: the rest is for rounding in the check that follows.
+_KEPT = 1.0 - 1e-7
+# A row with entries below this is of a derivative that vanishes at an end.
+_EMPTY = 1e-9
+# A start uses this share of the way to the first limit: searches that begin at a limit are slow.
+_SHARE = 0.6
+# Shares of it that are tried until the other limits hold too.
+_SHRINKS = 0.7 ** np.arange(40)
+# Neighboring coefficients are averaged this often: accelerations would leave little room else.
+_SMOOTHED = 2
+
+# A sparse matrix A (R, N) and limits (R,) of the products ``A @ x`` with free numbers x.
+Linear: TypeAlias = "tuple[Any, Array, Array]"
+
+
+def linear_limits(space: Space, limits: JointLimits, start: Array | None = None) -> Linear:
+    """Return rows A (R, N) and limits with which ``lower <= A @ x <= upper`` is sufficient.
+
+    Positions, speeds, accelerations and jerks of the motion are then within their limits at every
+    instant, and the motion begins at `start` (n,), where that is given.
+
+    Returns
+    -------
+    scipy.sparse.csr_array, shape (R, N)
+    lower, upper : ndarray, shape (R,)
+    """
+    from scipy.sparse import block_diag, csr_array
+
+    symmetric = [limits.velocity, limits.acceleration, limits.jerk]
+    ranges = [np.stack([limits.lower, limits.upper])] + [np.stack([-r, r]) for r in symmetric]
+    bounds = [space.bounds(order) for order in range(len(ranges))]
+    blocks, lower, upper = [], [], []
+    for j, E in enumerate(space.expansions):
+        own = []
+        for (rows, share), (low, high) in zip(bounds, ranges, strict=True):
+            if not (np.isfinite(low[j]) or np.isfinite(high[j])):
+                continue
+            matrix = rows @ E
+            matrix = matrix[np.abs(matrix).max(axis=1) > _EMPTY]
+            own.append(np.where(np.abs(matrix) > _EMPTY * np.abs(matrix).max(), matrix, 0.0))
+            mean, half = _middle(low[j], high[j])
+            lower.append(np.full(len(matrix), mean - _KEPT * share * half))
+            upper.append(np.full(len(matrix), mean + _KEPT * share * half))
+        if start is not None:
+            own.append(space.basis(np.zeros(1), 0) @ E)
+            lower.append(start[j : j + 1])
+            upper.append(start[j : j + 1])
+        blocks.append(csr_array(np.vstack([np.zeros((0, E.shape[1])), *own])))
+    return csr_array(block_diag(blocks)), np.concatenate(lower), np.concatenate(upper)
+
+
+def _middle(low: float, high: float) -> tuple[float, float]:
+    """Return the middle of a range and half its width, about the finite end of a half-open one."""
+    if np.isfinite(low) and np.isfinite(high):
+        return 0.5 * (low + high), 0.5 * (high - low)
+    return (float(low), np.inf) if np.isfinite(low) else (float(high), np.inf)
+
+
+def largest_step(linear: Linear, x: Array, direction: Array) -> float:
+    """Return the longest way along a direction that keeps the limits, from x within them."""
+    A, lower, upper = linear
+    at, along = A @ x, A @ direction
+    moved = np.abs(along) > _EMPTY * np.abs(along).max(initial=0.0)
+    at, along, lower, upper = at[moved], along[moved], lower[moved], upper[moved]
+    room = np.where(along > 0.0, upper - at, lower - at) / along
+    return float(np.min(room, initial=np.inf))
+
+
+def random_start(
+    space: Space,
+    linear: Linear,
+    home: Array,
+    rng: np.random.Generator,
+    holds: Callable[[Array], bool],
+) -> Array:
+    """Return a random motion (N,) about a position at which the arm may stand still.
+
+    Parameters
+    ----------
+    space : Space
+        The motions.
+    linear : tuple
+        Matrix, lower and upper limits, as `linear_limits` returns them.
+    home : ndarray, shape (n,)
+        A position within all limits, at which the motion begins.
+    rng : numpy.random.Generator
+        The only source of randomness.
+    holds : callable
+        Whether a motion keeps all other limits.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Standing still at home where nothing else holds.
+    """
+    still = space.standing(home)
+    x = still.copy()
+    for j in range(space.n):
+        own = slice(space.splits[j], space.splits[j + 1])
+        direction = np.zeros(space.size)
+        drawn = rng.standard_normal(space.splits[j + 1] - space.splits[j])
+        for _ in range(_SMOOTHED):
+            drawn = 0.5 * (drawn + np.roll(drawn, 1))
+        direction[own] = drawn
+        # The start stays where it is: positions at the ends are those of home.
+        ends = space.first @ space.expansions[j]
+        direction[own] -= ends * (ends @ drawn) / (ends @ ends)
+        x += _SHARE * min(largest_step(linear, still, direction), 1e3) * direction
+    for shrink in _SHRINKS:
+        candidate = still + shrink * (x - still)
+        if holds(candidate):
+            return np.asarray(candidate)
+    return still
+
+
+def usual_states(
+    space: Space,
+    limits: JointLimits,
+    homes: Iterable[Array],
+    rng: np.random.Generator,
+    holds: Callable[[Array], bool] = lambda x: True,
+    start: Array | None = None,
+) -> tuple[Array, Array, Array]:
+    """Return positions, rates and accelerations (K, n) of random motions within the limits."""
+    linear = linear_limits(space, limits, start)
+    drawn = [space.coefficients(random_start(space, linear, home, rng, holds)) for home in homes]
+    bases = (space.basis(space.grid(), order) for order in range(3))
+    q, v, a = (np.concatenate([basis @ c for c in drawn]) for basis in bases)
+    return q, v, a
+
+
+# Entries of the matrices of a motion below this share of the largest are zero.
+_ZERO = 1e-12
+
+
+class StateInequality(Protocol):
+    """Functions of a state that are to be at least zero."""
+
+    def evaluate(self, q: Array, v: Array, a: Array) -> Array:
+        """Return their values (K, r) at states (K, n), in shares of their limits."""
+
+    def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
+        """Return derivatives (K, r, n) by position, velocity and acceleration; None for zero."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InstantRows:
+    """Inequalities at the instants at which each is to hold, as functions of free numbers.
+
+    Attributes
+    ----------
+    space : Space
+        The motions.
+    parts : sequence of (StateInequality, ndarray (K,))
+        Each inequality and its instants in s.
+    """
+
+    space: Space
+    parts: Sequence[tuple[StateInequality, Array]]
+
+    @cached_property
+    def _matrices(self) -> list[list[Array]]:
+        return [[self.space.basis(time, order) for order in range(3)] for _, time in self.parts]
+
+    @cached_property
+    def _by_free(self) -> list[list[list[Array]]]:
+        """Matrices from the free numbers of each joint, part by part and order by order."""
+        return [
+            [[matrix @ E for E in self.space.expansions] for matrix in matrices]
+            for matrices in self._matrices
+        ]
+
+    def _states(self, part: int, x: Array) -> list[Array]:
+        c = self.space.coefficients(x)
+        return [matrix @ c for matrix in self._matrices[part]]
+
+    @cached_property
+    def pattern(self) -> Any:
+        """Where the derivative may differ from zero, a boolean array (R, N)."""
+        blocks = []
+        for i, (inequality, _) in enumerate(self.parts):
+            one = (state[:1] for state in self._states(i, np.zeros(self.space.size)))
+            count = inequality.evaluate(*one).shape[1]
+            used = sum(np.abs(m) > _ZERO * np.abs(m).max() for m in self._matrices[i])
+            own = np.hstack([used @ (E != 0.0) > 0 for E in self.space.expansions])
+            blocks.append(np.repeat(own, count, axis=0))
+        return np.vstack(blocks)
+
+    def values(self, x: Array) -> Array:
+        """Return all functions (R,), instant by instant."""
+        found = (each.evaluate(*self._states(i, x)) for i, (each, _) in enumerate(self.parts))
+        return np.concatenate([values.ravel() for values in found])
+
+    def hold(self, x: Array) -> bool:
+        """Return whether a motion (N,) is within all of them."""
+        return bool(np.min(self.values(x)) > 0.0)
+
+    def derivative(self, x: Array) -> Array:
+        """Return the derivative (R, N)."""
+        blocks = []
+        for i, (inequality, _) in enumerate(self.parts):
+            by_state = inequality.derivatives(*self._states(i, x))
+            parts = [
+                (m, s) for m, s in zip(self._by_free[i], by_state, strict=True) if s is not None
+            ]
+            out = np.zeros((*parts[0][1].shape[:2], self.space.size))
+            for matrices, slopes in parts:
+                for j, matrix in enumerate(matrices):
+                    own = slice(self.space.splits[j], self.space.splits[j + 1])
+                    out[:, :, own] += slopes[:, :, j, None] * matrix[:, None, :]
+            blocks.append(out.reshape(-1, self.space.size))
+        return np.vstack(blocks)
+
+
+# Slacks of distances are counted in this length, m, and the soft minimum over pairs is below the
+# least one by at most log(P) over this, 1/m: a centimeter for twenty pairs that are alike near.
+_LENGTH = 0.1
+_SHARPNESS = 300.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KeptDistance:
+    """Distances of all pairs are at least their clearance.
+
+    Attributes
+    ----------
+    collision : CollisionModel
+        The pairs.
+    clearance : float
+        The wanted clearance, m.
+    margin : float
+        What is kept beyond it, m, for what happens between the instants.
+    """
+
+    collision: CollisionModel
+    clearance: float
+    margin: float = 0.0
+
+    def evaluate(self, q: Array, v: Array, a: Array) -> Array:
+        """Return the soft least slack (K, 1), in shares of 0.1 m."""
+        return self._least(q)[0]
+
+    def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
+        """Return its derivative by position (K, 1, n)."""
+        return self._least(q)[1], None, None
+
+    @last_kept
+    def _least(self, q: Array) -> tuple[Array, Array]:
+        slack, slope = self.collision.soft_minimum(
+            q, _SHARPNESS, clearance=self.clearance, beyond=self.margin
+        )
+        return slack[:, None] / _LENGTH, slope[:, None, :] / _LENGTH

@@ -19,13 +19,11 @@ from sdpid.excitation.criterion.belief import nominal_bodies, prior_information
 from sdpid.excitation.criterion.criterion import Criterion, Objective
 from sdpid.excitation.criterion.noise import LASTING, ExpectedNoise, Given
 from sdpid.excitation.criterion.rows import BaseRows
-from sdpid.excitation.design.loop import designed
 from sdpid.excitation.limits.joint_limits import NONE, JointLimits
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.plan import settings_of
-from sdpid.excitation.search.search import Search, require_search
-from sdpid.excitation.search.space import SplineSpace
-from sdpid.excitation.search.starts import usual_states
+from sdpid.excitation.search.search import Search, designed, require_search
+from sdpid.excitation.search.space import SplineSpace, usual_states
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.plan import StandingPlan
 from sdpid.excitation.standing.stance import RATE_HZ, Stance, StandingRows

@@ -11,8 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.excitation.search.inequalities import InstantRows
-from sdpid.excitation.search.space import Space
+from sdpid.excitation.search.space import InstantRows, Space
 from sdpid.excitation.standing.stance import RATE_HZ, Stance, StanceStates, slopes
 from sdpid.experiment.trajectory.curve import Curve
 

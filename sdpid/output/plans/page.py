@@ -18,8 +18,18 @@ from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.plan.plan import Plan, limited_quantities
 from sdpid.experiment.trajectory.trajectory import Played, played
 from sdpid.output.charts.page import Charts, number
-from sdpid.output.scene.scene import FRAME_RATE, Group, Line, Scene, ShownMotion, grid, robot_scene
-from sdpid.output.scene.surfaces import Surface, described_surfaces, surface_of
+from sdpid.output.scene.scene import (
+    FRAME_RATE,
+    Group,
+    Line,
+    Scene,
+    ShownMotion,
+    Surface,
+    described_surfaces,
+    grid,
+    robot_scene,
+    surface_of,
+)
 from sdpid.robot.model.model import RobotModel
 
 # Half width of what is drawn of a plane, in reaches of the arm.
