@@ -22,14 +22,15 @@ from sdpid._common.tables import json_text
 from sdpid.errors import DataError, ExportError
 
 
-def digest(file: Path) -> str:
-    """Return the SHA-256 of a file's content in hexadecimal digits."""
-    return str(hashed(file)["sha256"])
+class Unwritten(str):
+    """A note that says what a run does not write, and why."""
+
+    __slots__ = ()
 
 
 def _is(file: Path, written: object) -> bool:
     """Return whether a file is there with the digest of one that a run wrote."""
-    return file.is_file() and digest(file) == written
+    return file.is_file() and hashed(file)["sha256"] == written
 
 
 def _sealed(file: Path) -> dict[str, Any]:

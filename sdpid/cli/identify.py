@@ -47,8 +47,9 @@ if TYPE_CHECKING:
 )
 def identify(given: Given) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
+    from sdpid._common.staging import Unwritten
     from sdpid.assurance.recipe.inputs import file_entry
-    from sdpid.workflow.result import require_writable
+    from sdpid.workflow.result import WRITTEN, require_writable
 
     out, config = given.out, given.config
     require_writable(out, given.inputs("config"), config=config, writes_config=True)
@@ -84,14 +85,9 @@ def identify(given: Given) -> None:
         told = [] if result.elasticity is None else [result.elasticity.in_words()]
         lines = [*result.headline.lines, *told]
         given.show(None, "\n".join(printable(line) for line in lines))
-    known = len(notes)
     saved = result.save(
         out,
-        figures=given.figures,
-        offsets=given.offsets,
-        tendons=given.tendons,
-        elastic=given.elastic,
-        bare=given.bare,
+        **given.chosen(" ".join(WRITTEN)),
         report=notes.append,
         command=command_line(given.ctx),
         config=config_text(given.ctx, out),
@@ -103,7 +99,7 @@ def identify(given: Given) -> None:
     else:
         lines = [
             f"written to {out}: {', '.join(path.name for path in saved)}",
-            *(each for each in notes[known:] if each.startswith("no ")),
+            *(each for each in notes if isinstance(each, Unwritten)),
             f"{len(notes)} notes on choices: with -v, and in result.json",
         ]
         details = ["\n".join(lines)]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sdpid import __version__
 from sdpid._common.extras import installation
 from sdpid._common.progress import progress
-from sdpid._common.staging import RunFolder
+from sdpid._common.staging import RunFolder, Unwritten
 from sdpid._common.tables import Shown, Table, json_text, plain_dict
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.intervals.delta_method import joint_curve
@@ -59,6 +59,9 @@ _KIND = "\0"
 
 # Of the figures: a screen's width, and 170 dots an inch on a printed page.
 _DPI = 110.0
+
+# Options of `save` that say what is written, and change nothing that is computed.
+WRITTEN: tuple[str, ...] = ("figures", "offsets", "tendons", "elastic", "bare")
 
 # The options of the run.
 _CONFIG = "run.toml"
@@ -167,7 +170,8 @@ def save(
             write_parameters(estimate, path, intervals=ends, certificate=certificate)
             certificate.to_json(stage / "certificate.json")
             used = estimate if result.drives is None else result.drives.estimate(rich=tendons)
-            exports.extend(_robots(result, used, stage, note, offsets, tendons, elastic))
+            how = {"offsets": offsets, "tendons": tendons, "steep": result.drives is None}
+            exports.extend(_robots(result, used, stage, note, elastic, **how))
             if result.elasticity is not None:
                 result.elasticity.save(stage / "elasticity.json")
                 result.elasticity.table().write(stage / "elasticity.csv")
@@ -208,32 +212,29 @@ def _robots(
     estimate: Estimate,
     folder: Path,
     note: Callable[[str], None],
-    offsets: bool,
-    tendons: bool,
     elastic: bool,
+    **how: Any,
 ) -> list[ExportReport]:
     """Write the robot as URDF and MJCF where that can be, and note what they leave out."""
     problem = result.problem
     if problem.consistency == "none":
-        note("no identified.urdf, no identified.xml: without consistency links need be no bodies")
+        why = "without consistency links need be no bodies"
+        note(Unwritten(f"no identified.urdf, no identified.xml: {why}"))
         return []
     exports = []
     if problem.robot.urdf is not None:
         exports.append(write_urdf(estimate, target=folder / "identified.urdf"))
     mjcf, missing = folder / "identified.xml", None
     try:
-        how: dict[str, Any] = {
-            "offsets": offsets,
-            "tendons": tendons,
-            "steep": result.drives is None,
-        }
         exports.append(write_mjcf(estimate, target=mjcf, **how))
         bent = any(isinstance(term, PositionFriction) for term in problem.friction.terms)
-        if tendons and not bent:
+        if how["tendons"] and not bent:
+            why = "nothing was found of friction over position"
             how_to = "" if result.drives else "; --effects position identifies it"
-            note(f"no tendons in {mjcf.name}: nothing was found of friction over position{how_to}")
+            note(Unwritten(f"no tendons in {mjcf.name}: {why}{how_to}"))
         if elastic and result.elasticity is None:
-            note("no identified_elastic.xml: nothing was found of the elasticity of gears")
+            why = "nothing was found of the elasticity of gears"
+            note(Unwritten(f"no identified_elastic.xml: {why}"))
         elif elastic:
             mjcf = folder / "identified_elastic.xml"
             exports.append(write_mjcf(estimate, target=mjcf, elasticity=result.elasticity, **how))
@@ -251,7 +252,7 @@ def _robots(
     for statement in _statements(exports):
         note(statement)
     if missing is not None:
-        note(f"no {mjcf.name} (MJCF): {missing}")
+        note(Unwritten(f"no {mjcf.name} (MJCF): {missing}"))
     return exports
 
 
@@ -269,7 +270,7 @@ def _friction(result: Judged, folder: Path, note: Callable[[str], None]) -> None
             # A full disk, that is; else it is a term that no file can hold.
             if isinstance(reason.__cause__, OSError):
                 raise
-            note(f"no {' and no '.join(FRICTION_FILES)}: {reason}")
+            note(Unwritten(f"no {' and no '.join(FRICTION_FILES)}: {reason}"))
             return
         left_out |= dict.fromkeys(missing)
     for each in left_out:
@@ -293,7 +294,7 @@ def _report(
     exports: Sequence[ExportReport],
 ) -> None:
     if importlib.util.find_spec("jinja2") is None:
-        note(f"no report.html: jinja2 is not installed ({installation('report')})")
+        note(Unwritten(f"no report.html: jinja2 is not installed ({installation('report')})"))
         return
     from sdpid.output.report.report import write_report
 

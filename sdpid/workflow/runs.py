@@ -25,16 +25,14 @@ from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
 from sdpid.verifier.reading import REFUSED, listed, numbers, parse, read_bytes, text
 from sdpid.workflow.replay.compare import PARAMETERS, RESULT, ROBOTS
-from sdpid.workflow.result import Identification
+from sdpid.workflow.result import WRITTEN, Identification
 
 # Results, and folders of them.
 Saved: TypeAlias = "SavedRun | Identification | str | os.PathLike[str]"
 
 # Options that say where files go or what is printed, not what is computed; the logs and the robot
 # are told apart by their hashes.
-_NOT_COMPUTED = frozenset(
-    {"out", "figures", "offsets", "bare", "verbose", "json", "quiet", "log", "validation"}
-)
+_NOT_COMPUTED = {*WRITTEN, "out", "verbose", "json", "quiet", "log", "validation"}
 
 _LOG = "log, SHA-256"
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from sdpid._common.staging import digest
+from sdpid._common.files import hashed
 from sdpid.verifier.manifest import sealed
 from sdpid.verifier.reading import digest as digest_of
 
@@ -87,7 +87,7 @@ def reseal(folder: Path, *, without: str = "") -> str:
     edit_json(certificate, lambda data: data.update(sha256=digest_of(data)))
     manifest["certificate"] = digest_of(proof)
     manifest["files"] = {
-        file.name: {"bytes": file.stat().st_size, "sha256": digest(file)}
+        file.name: {"bytes": file.stat().st_size, "sha256": hashed(file)["sha256"]}
         for file in sorted(folder.iterdir())
         if file.name not in (path.name, without)
     }

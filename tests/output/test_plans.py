@@ -14,8 +14,7 @@ import pytest
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid._common.files import load_toml
-from sdpid._common.staging import digest
+from sdpid._common.files import hashed, load_toml
 from sdpid.errors import ExportError
 from sdpid.excitation.geometry.obstacles import obstacles_from_toml
 from sdpid.excitation.limits.limits import Limits
@@ -310,7 +309,7 @@ def test_the_files_are_there_and_listed(folder: Path) -> None:
     assert len(FILES) == 8
     listed = json.loads((folder / "plan.json").read_text())["files"]
     assert {name: each["sha256"] for name, each in listed.items()} == {
-        name: digest(folder / name) for name in FILES - {"plan.json"}
+        name: hashed(folder / name)["sha256"] for name in FILES - {"plan.json"}
     }
 
 

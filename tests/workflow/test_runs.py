@@ -15,7 +15,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.effects.kinds import names_of_effects
 from sdpid.output.report.report import report_html
 from sdpid.workflow.formulate import formulate
-from sdpid.workflow.result import Identification
+from sdpid.workflow.result import WRITTEN, Identification
 from sdpid.workflow.runs import RunComparison, compare_runs
 from sdpid.workflow.sample import ParameterSamples
 from tests.helpers import world
@@ -245,6 +245,18 @@ def test_runs_of_one_log_are_told_by_what_differs(runs: dict[str, Path]) -> None
     assert ("prior", "False", "True") in found.differences.rows
     assert ("weighting", "residual", "residual") in found.facts.rows
     assert not compare_runs(runs["first"], runs["first"]).differences.rows
+
+
+def test_options_of_what_is_written_are_no_difference(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
+    folders = [tmp_path / name for name in ("here", "there")]
+    for folder, value in zip(folders, ("false", "true"), strict=True):
+        shutil.copytree(runs["first"], folder)
+        lines = [f"{name} = {value}" for name in (*WRITTEN, "rollout")]
+        (folder / "run.toml").write_text("\n".join(lines))
+    rows = compare_runs(*folders).differences.rows
+    assert rows == (("option rollout", "False", "True"),)
 
 
 def test_a_result_is_loaded_from_its_folder_alone(tmp_path: Path) -> None:

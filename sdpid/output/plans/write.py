@@ -21,7 +21,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import installation
 from sdpid._common.files import atomic_write_text
 from sdpid._common.progress import progress
-from sdpid._common.staging import RunFolder
+from sdpid._common.staging import RunFolder, Unwritten
 from sdpid._common.tables import Table, plain, plain_dict
 from sdpid.errors import ExportError
 from sdpid.excitation.geometry.obstacles import obstacles_to_dict
@@ -398,16 +398,14 @@ def _write_motion(plan: Plan, folder: Path, note: Callable[[str], None]) -> None
     if motion.n == JOINTS and not np.any(plan.joint_limits.sliding):
         write_urscript(motion, folder / "excitation.script")
     else:
-        note(
-            f"no excitation.script: arms of Universal Robots have {JOINTS} turning joints, this "
-            "robot has others"
-        )
+        why = f"arms of Universal Robots have {JOINTS} turning joints, this robot has others"
+        note(Unwritten(f"no excitation.script: {why}"))
 
 
 def _write_page(plan: Plan, folder: Path, command: str | None, note: Callable[[str], None]) -> None:
     """Write the page, where jinja2 is installed."""
     if importlib.util.find_spec("jinja2") is None:
-        note(f"no report.html: jinja2 is not installed ({installation('report')})")
+        note(Unwritten(f"no report.html: jinja2 is not installed ({installation('report')})"))
         return
     from sdpid.output.plans.page import plan_html
 
