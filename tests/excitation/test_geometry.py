@@ -324,7 +324,11 @@ POST = Box(size=(0.1, 0.1, 2.0), translation=(0.4, 0.0, 0.0), name="post")
 @pytest.mark.parametrize(
     ("obstacles", "given", "words"),
     [
-        ([], {"rest": np.zeros(5)}, "rest: 5 numbers, 'chain' has 3"),
+        (
+            [],
+            {"rest": np.zeros(5)},
+            r"rest: has shape \(5,\), expected \(3,\): one number",
+        ),
         ([], {"lower": [0.0]}, "limits of positions"),
         (["table"], {}, "is no Plane, Box or Mesh"),
         ([], {"ignore": [("l3", "l9")]}, "'l9' is no body"),

@@ -640,7 +640,7 @@ HALF = {"upper": 0.5, "lower": -0.5}
         ({"override": "yes"}, LIMIT, None, "override is 'yes'"),
         ({}, LIMIT, [0.0, 1.5], r"'b': the rest position 1\.5 rad is above the limit of 1"),
         ({"torque": 20.0}, LIMIT, [0.0, 0.0], r"'a': gravity alone needs 27\.\d* N·m at the rest"),
-        ({}, LIMIT, [0.0], "rest position: 1 values"),
+        ({}, LIMIT, [0.0], r"rest position: has shape \(1,\), expected \(2,\): a, b"),
         ({}, LIMIT.replace('"-2"', '"3"'), None, "from 3 to 1"),
         (
             {},

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Indices, frozen, real_array
+from sdpid._common.arrays import Array, Indices, frozen, real_array, shaped
 from sdpid.errors import DataError, ModelError
 from sdpid.excitation.geometry.measure import Measure, pair_reaches
 from sdpid.excitation.geometry.obstacles import Mesh, Obstacle, named_apart
@@ -137,8 +137,8 @@ class CollisionModel:
         around = [obstacle_solid(obstacle) for obstacle in placed]
         choice = PairChooser(robot, solids, around, ignore, clearance).choose(
             *finite,
-            rest=_position(robot, rest, "rest"),
-            near=usual if near is None else _position(robot, near, "near"),
+            rest=None if rest is None else _numbers(robot, rest, "rest"),
+            near=usual if near is None else _numbers(robot, near, "near"),
             free_rest=free_rest,
             seed=seed,
         )
@@ -309,23 +309,14 @@ def _bounds(robot: RobotModel, lower: ArrayLike | None, upper: ArrayLike | None)
     bounds = robot.position_limits.T.copy()
     for row, values in enumerate((lower, upper)):
         if values is not None:
-            given = np.asarray(values, dtype=np.float64)
-            if given.shape != (robot.n,) or np.isnan(given).any():
-                raise DataError(
-                    f"limits of positions: shape {given.shape}, '{robot.name}' has {robot.n} "
-                    "joints; give one number a joint."
-                )
-            bounds[row] = given
+            bounds[row] = _numbers(robot, values, "limits of positions", infinite=True)
     return bounds
 
 
-def _position(robot: RobotModel, values: ArrayLike | None, name: str) -> Any:
-    if values is None:
-        return None
-    array = real_array(values, name, ndim=1)
-    if array.shape != (robot.n,):
-        raise DataError(f"{name}: {array.size} numbers, '{robot.name}' has {robot.n} joints.")
-    return array
+def _numbers(robot: RobotModel, values: ArrayLike, name: str, *, infinite: bool = False) -> Array:
+    """Return one number a joint (n,)."""
+    what = f": one number a joint of '{robot.name}'"
+    return shaped(values, name, (robot.n,), what, infinite=infinite)
 
 
 def _check_base(robot: RobotModel, obstacles: Iterable[Obstacle]) -> None:

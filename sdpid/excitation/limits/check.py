@@ -191,6 +191,22 @@ class LimitRow:
     unit: str
     verdict: Verdict
 
+    @classmethod
+    def of(
+        cls, sign: float, limit: float, worst: float, reached: float, allowed: float, **of: Any
+    ) -> LimitRow:
+        """Build from values times a sign, so that limits are upper ones; `allowed` is let pass."""
+        verdict: Verdict = "broken" if reached > allowed else "undecided"
+        return cls(
+            side="lower" if sign < 0.0 else "upper",
+            limit=sign * limit,
+            worst=sign * worst,
+            reached=sign * reached,
+            slack=limit - worst,
+            verdict="held" if worst <= allowed else verdict,
+            **of,
+        )
+
     @property
     def excess(self) -> float:
         """How far the limit is broken at `time`; zero where it is not."""
@@ -514,20 +530,5 @@ def _rows(
         if not limited[j]:
             continue
         limit, most, found = float(limits[j]), float(worst[:, j].max()), float(reached[first[j], j])
-        verdict: Verdict = "undecided"
-        if most <= allowed[j]:
-            verdict = "held"
-        elif found > allowed[j]:
-            verdict = "broken"
-        yield LimitRow(
-            kind=kind,
-            subject=subject,
-            side="lower" if lower else "upper",
-            limit=sign * limit,
-            worst=sign * most,
-            reached=sign * found,
-            time=float(time[first[j], j]),
-            slack=limit - most,
-            unit=unit,
-            verdict=verdict,
-        )
+        of = {"kind": kind, "subject": subject, "unit": unit, "time": float(time[first[j], j])}
+        yield LimitRow.of(sign, limit, most, found, allowed[j], **of)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Mask, frozen, generator, is_number, real_array
+from sdpid._common.arrays import Array, Mask, frozen, generator, is_number, shaped
 from sdpid._common.tables import Table
 from sdpid.errors import DataError
 from sdpid.robot.model.arms import require_fixed_robot
@@ -250,7 +250,8 @@ class Narrowing:
         DataError
             When limits contradict each other or what they are for.
         """
-        start = None if rest is None else self._start(rest)
+        where, names = "rest position", f": {', '.join(self._names)}"
+        start = None if rest is None else shaped(rest, where, (self._n,), names)
         lower, upper = self._range(np.zeros(self._n) if start is None else start)
         found: dict[str, Any] = {"lower": lower, "upper": upper}
         before = np.full(self._n, np.inf)
@@ -281,16 +282,6 @@ class Narrowing:
             **found,
         )
         return _standing(self.robot, limits, given=rest is not None) if self.assume else limits
-
-    def _start(self, rest: ArrayLike) -> Array:
-        """Return the given rest position (n,)."""
-        values = real_array(rest, "rest position", ndim=1)
-        if values.shape != (self._n,):
-            raise DataError(
-                f"rest position: {values.size} values, '{self.robot.name}' has {self._n} joints: "
-                f"{', '.join(self._names)}."
-            )
-        return values
 
     def _range(self, about: Array) -> tuple[Array, Array]:
         """Return the lower and upper limits of the positions."""

@@ -239,22 +239,9 @@ class Held:
                 if not np.isfinite(limit):
                     continue
                 k = int(np.argmax(sign * values))
-                reached = float(values[k])
-                slack = sign * (float(limit) - reached)
-                rows.append(
-                    LimitRow(
-                        kind=kind,
-                        subject=subject,
-                        side="lower" if sign < 0.0 else "upper",
-                        limit=float(limit),
-                        worst=reached,
-                        reached=reached,
-                        time=float(time[k]),
-                        slack=slack,
-                        unit=unit,
-                        verdict="held" if slack >= 0.0 else "broken",
-                    )
-                )
+                most, reached = sign * float(limit), sign * float(values[k])
+                of = {"kind": kind, "subject": subject, "unit": unit, "time": float(time[k])}
+                rows.append(LimitRow.of(sign, most, reached, reached, most, **of))
         notes = (
             *self.joints.assumed,
             f"limits were checked {RATE_HZ:g} times a second, not between.",
