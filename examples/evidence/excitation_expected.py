@@ -157,7 +157,7 @@ def run(name: str, reading: str, seed: int, duration: float, quick: bool) -> Row
     wrong = np.abs(result.estimate.base - truth(base, theta, robot.n))
     errors = dict(zip(base.names, wrong, strict=True))
     widths = 0.5 * (expected.upper - expected.lower)
-    for each, own in zip(expected.names, widths, strict=True):
+    for each, own in zip(expected.base.names, widths, strict=True):
         if each in half:
             yield name, reading, seed, each, own, half[each], errors[each]
     friction, half_widths = friction_curve(result.estimate, expected.speeds)

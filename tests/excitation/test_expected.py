@@ -47,7 +47,7 @@ def plain() -> Expected:
 
 
 def earlier(size: float, seed: int = 0) -> EarlierInformation:
-    b = len(plain().names)
+    b = len(plain().base.names)
     X = np.random.default_rng(seed).standard_normal((b, b))
     noise = ExpectedNoise.white(np.array([0.1, 0.1]), 100.0)
     theta = rehearse(ARM, motion(), friction=TERMS, noise=0.1).theta
@@ -112,7 +112,7 @@ def test_a_prior_alone_is_what_is_left_of_a_run_that_tells_nothing() -> None:
 
 def test_intervals_are_cut_off_at_declared_limits() -> None:
     found = expected(noise=1e3)
-    own = [name.startswith("Fs") for name in found.names]
+    own = [name.startswith("Fs") for name in found.base.names]
     assert np.all(found.lower[own] == 0.0)
     assert np.all(found.lower <= found.values)
     assert np.all(found.upper >= found.values)
@@ -124,9 +124,9 @@ def test_words_and_plain_values() -> None:
     assert f"after {found.seconds:.3g} s" in text
     assert "before the run" in text
     content = json.loads(json.dumps(found.to_dict(), allow_nan=False))
-    assert len(content["base_parameters"]) == len(found.names)
+    assert len(content["base_parameters"]) == len(found.base.names)
     assert content["bands"][0]["share"] == pytest.approx(found.bands[0].share)
-    assert found.names[0] in found.table().text()
+    assert found.base.names[0] in found.table().text()
     assert any("assumed" in note for note in found.notes)
 
 

@@ -214,7 +214,7 @@ def design_excitation(
         limits=check,
         joint_limits=search.limits,
         collision=task.held.collision,
-        names=expected.names,
+        names=expected.base.names,
         standard_errors=expected.standard_errors,
         condition_number=excitation.condition_number if shown else np.inf,
         log_det=2.0 * float(np.log(lengths * values).sum()) if shown else -np.inf,

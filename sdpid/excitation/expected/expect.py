@@ -368,8 +368,8 @@ def expect(
     notes = [*run.notes, *run.noise.notes, *(() if earlier is None else earlier.notes)]
     notes += [*(() if run.problem.prior is None else run.problem.prior.notes), *_ALWAYS]
     return Expected(
-        names=base.names,
-        units=base.units,
+        robot=robot,
+        base=base,
         values=frozen(value),
         standard_errors=frozen(np.sqrt(variance)),
         half_widths=frozen(half),
@@ -377,13 +377,9 @@ def expect(
         upper=frozen(np.maximum(np.minimum(value + half, most), value)),
         before=frozen(np.sqrt(before.spread(base.matrix)[0])),
         prior_share=frozen(share),
-        theta_names=base.theta_names,
-        theta_units=base.theta_units,
         theta=values,
         theta_half_widths=frozen(NORMAL * np.sqrt(theta_variance)),
         theta_prior_share=frozen(theta_share),
-        joint_names=robot.joint_names,
-        link_names=robot.link_names,
         speeds=speeds,
         friction=frozen((functions @ values).reshape(shape)),
         friction_half_widths=frozen(NORMAL * np.sqrt(friction_variance).reshape(shape)),
@@ -415,7 +411,6 @@ def expect(
             believed=_believed(run),
             limits=limits,
         ),
-        structure=base.eliminated,
         covariance=frozen(covariance),
         noise=run.noise,
         seconds=trajectory.duration,

@@ -13,6 +13,8 @@ from sdpid._common.tables import Shown, Table, plain, plain_dict
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.expected.open_directions import OpenDirection
 from sdpid.robot.inertia import PARAMETER_NAMES
+from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.model.model import RobotModel
 
 # A parameter is known in words when its interval is this narrow beside what was known before.
 _KNOWN = 0.1
@@ -28,6 +30,9 @@ _HEADER = (
     *("parameter", "unit", "assumed", "standard error", "lower", "upper", "before"),
     "share of the prior",
 )
+
+# Of these, and of plain values, those that are called as the attributes.
+_AS_CALLED = ("lower", "upper", "before", "prior_share")
 
 # Parameters that a sentence lists.
 _LISTED = 8
@@ -96,8 +101,10 @@ class Expected(Shown):
 
     Attributes
     ----------
-    names, units : tuple of str
-        The base parameters.
+    robot : RobotModel
+        The robot.
+    base : BaseParameters
+        The base parameters; of standard parameters those that have no influence on the efforts.
     values : ndarray, shape (b,)
         What they are taken to be, from the description or an earlier run.
     standard_errors : ndarray, shape (b,)
@@ -110,15 +117,11 @@ class Expected(Shown):
         Standard errors before the run; infinite where nothing is known.
     prior_share : ndarray, shape (b,)
         Share of the prior in the variance.
-    theta_names, theta_units : tuple of str
-        The standard parameters.
     theta, theta_half_widths : ndarray, shape (p,)
-        Their values, and half widths of 95 % intervals: infinite where run and prior leave them
-        open.
+        Values of the standard parameters, and half widths of 95 % intervals: infinite where run
+        and prior leave them open.
     theta_prior_share : ndarray, shape (p,)
         Share of the prior in the variance.
-    joint_names, link_names : tuple of str
-        Those of the robot.
     speeds : ndarray, shape (s,)
         Speeds of the friction curves, rad/s or m/s.
     friction, friction_half_widths : ndarray, shape (s, joints)
@@ -129,8 +132,6 @@ class Expected(Shown):
         The curve over the duration of the run.
     open_directions : tuple of OpenDirection
         What stays open, and why.
-    structure : tuple of str
-        Standard parameters without any influence on the efforts.
     covariance : ndarray, shape (b, b)
         Of the base parameters.
     noise : ExpectedNoise
@@ -141,8 +142,8 @@ class Expected(Shown):
         What all of this rests on.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    robot: RobotModel
+    base: BaseParameters
     values: Array
     standard_errors: Array
     half_widths: Array
@@ -150,26 +151,21 @@ class Expected(Shown):
     upper: Array
     before: Array
     prior_share: Array
-    theta_names: tuple[str, ...]
-    theta_units: tuple[str, ...]
     theta: Array
     theta_half_widths: Array
     theta_prior_share: Array
-    joint_names: tuple[str, ...]
-    link_names: tuple[str, ...]
     speeds: Array
     friction: Array
     friction_half_widths: Array
     bands: tuple[Band, ...]
     durations: tuple[Duration, ...]
     open_directions: tuple[OpenDirection, ...]
-    structure: tuple[str, ...]
     covariance: Array
     noise: ExpectedNoise
     seconds: float
     notes: tuple[str, ...] = ()
 
-    _facts = ("names", "seconds, s", "open_directions")
+    _facts = ("base.names", "seconds, s", "open_directions")
 
     def sentences(self) -> tuple[str, ...]:
         """Return what the run will buy in words, the most important first."""
@@ -178,12 +174,11 @@ class Expected(Shown):
         if len(self.speeds):
             out.append(self._friction())
         out += self._open()
-        if self.structure:
-            many = len(self.structure)
+        if lost := self.base.eliminated:
             out.append(
-                f"{many} of {len(self.theta_names)} standard parameters have no influence on any "
-                f"effort, whatever the motion: {', '.join(self.structure[:6])}"
-                f"{', …' if many > 6 else ''}"
+                f"{len(lost)} of {len(self.base.theta_names)} standard parameters have no "
+                f"influence on any effort, whatever the motion: {', '.join(lost[:6])}"
+                f"{', …' if len(lost) > 6 else ''}"
             )
         return tuple(out)
 
@@ -207,16 +202,16 @@ class Expected(Shown):
         Where it tells no single mass, that of the last base parameter of a link that is told.
         """
         masses, half = self.theta[::10], self.theta_half_widths[::10]
-        count = len(self.link_names)
+        count = len(self.robot.link_names)
         told = (self.theta_prior_share[::10][:count] < _FROM_PRIOR) & (
             half[:count] < masses[:count]
         )
         if told.any():
             link = int(np.flatnonzero(told)[-1])
             shares = [NORMAL * d.masses[link] / masses[link] for d in self.durations]
-            return [f"mass of {self.link_names[link]}: {self._times(shares)}"]
+            return [f"mass of {self.robot.link_names[link]}: {self._times(shares)}"]
         known = (self.prior_share < _FROM_PRIOR) & (self.half_widths < np.abs(self.values))
-        symbols = (name.rstrip("0123456789").removesuffix("r") for name in self.names)
+        symbols = (name.rstrip("0123456789").removesuffix("r") for name in self.base.names)
         known &= np.array([symbol in PARAMETER_NAMES for symbol in symbols])
         if not known.any():
             return []
@@ -226,11 +221,11 @@ class Expected(Shown):
 
     def _described(self, k: int) -> str:
         """Return a base parameter in words."""
-        name = self.names[k]
+        name = self.base.names[k]
         symbol = name.rstrip("0123456789")
-        link = self.link_names[int(name[len(symbol) :]) - 1]
+        link = self.robot.link_names[int(name[len(symbol) :]) - 1]
         kind = "first moment" if symbol.startswith("m") else "inertia"
-        return f"{kind} {name} of {link} ({self.units[k]})"
+        return f"{kind} {name} of {link} ({self.base.units[k]})"
 
     def _open(self) -> list[str]:
         """Return the open directions, those with one reason together."""
@@ -245,7 +240,7 @@ class Expected(Shown):
         ]
 
     def _parameters(self) -> str:
-        count = len(self.names)
+        count = len(self.base.names)
         lost = ~np.isfinite(self.standard_errors)
         believed = (self.prior_share > _FROM_PRIOR) & ~lost
         if np.isfinite(self.before).any():
@@ -265,20 +260,17 @@ class Expected(Shown):
         usual, most = _within(float(np.median(own))), _within(float(own[worst]))
         return (
             f"friction at {self.speeds[middle]:g} rad/s: {usual} (median over the joints), worst "
-            f"{most} at {self.joint_names[worst]}"
+            f"{most} at {self.robot.joint_names[worst]}"
         )
 
     def _base(self) -> dict[str, Sequence[Any]]:
         """Return the columns of the base parameters."""
         return {
-            "name": self.names,
-            "unit": self.units,
+            "name": self.base.names,
+            "unit": self.base.units,
             "value": self.values.tolist(),
             "standard_error": self.standard_errors.tolist(),
-            "lower": self.lower.tolist(),
-            "upper": self.upper.tolist(),
-            "before": self.before.tolist(),
-            "prior_share": self.prior_share.tolist(),
+            **{each: getattr(self, each).tolist() for each in _AS_CALLED},
         }
 
     def table(self) -> Table:
@@ -292,8 +284,8 @@ class Expected(Shown):
             "sentences": list(self.sentences()),
             "base_parameters": _records(**self._base()),
             "standard_parameters": _records(
-                name=self.theta_names,
-                unit=self.theta_units,
+                name=self.base.theta_names,
+                unit=self.base.theta_units,
                 value=self.theta,
                 half_width=self.theta_half_widths,
                 prior_share=self.theta_prior_share,
@@ -306,7 +298,7 @@ class Expected(Shown):
             "bands": [{**plain(band), "share": band.share} for band in self.bands],
             "durations": self.durations,
             "open_directions": self.open_directions,
-            "no_influence": self.structure,
+            "no_influence": self.base.eliminated,
             "noise": self.noise,
             "notes": self.notes,
         }

@@ -377,11 +377,11 @@ def _curves(expected: Expected) -> Iterator[tuple[str, Array]]:
     durations = expected.durations
     for k, band in enumerate(expected.bands):
         yield f"efforts on {band.motion}", np.array([each.bands[k] for each in durations])
-    masses = expected.theta[: 10 * len(expected.link_names) : 10]
-    words = [f"mass of {name}" for name in expected.link_names]
+    masses = expected.theta[: 10 * len(expected.robot.link_names) : 10]
+    words = [f"mass of {name}" for name in expected.robot.link_names]
     yield from _falling(words, masses, np.array([each.masses for each in durations]))
     errors = np.array([each.standard_errors for each in durations])
-    yield from _falling(expected.names, expected.values, errors)
+    yield from _falling(expected.base.names, expected.values, errors)
 
 
 def _falling(names: Sequence[str], values: Array, errors: Array) -> Iterator[tuple[str, Array]]:
@@ -405,12 +405,12 @@ def _falling(names: Sequence[str], values: Array, errors: Array) -> Iterator[tup
 
 def _parameters(expected: Expected) -> Iterator[dict[str, Any]]:
     """Yield the expected interval of every base parameter."""
-    for k, name in enumerate(expected.names):
+    for k, name in enumerate(expected.base.names):
         value, half = float(expected.values[k]), float(expected.half_widths[k])
         before = NORMAL * float(expected.before[k])
         yield {
             "name": name,
-            "unit": expected.units[k],
+            "unit": expected.base.units[k],
             "value": value,
             "half": half,
             "share": half / abs(value) if value else None,
