@@ -105,19 +105,6 @@ def require_probability(value: Any, what: str) -> None:
         raise DataError(f"{what} is {value!r:.80}; give a probability between 0 and 1.")
 
 
-def rotation_matrices(quaternions: Array) -> Array:
-    """Return the rotation matrices (K, 3, 3) of unit quaternions x, y, z, w (K, 4)."""
-    x, y, z, w = quaternions.T
-    out = np.empty((len(quaternions), 3, 3))
-    out[:, 0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    out[:, 1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    out[:, 2, 2] = 1.0 - 2.0 * (x * x + y * y)
-    out[:, 0, 1], out[:, 1, 0] = 2.0 * (x * y - z * w), 2.0 * (x * y + z * w)
-    out[:, 0, 2], out[:, 2, 0] = 2.0 * (x * z + y * w), 2.0 * (x * z - y * w)
-    out[:, 1, 2], out[:, 2, 1] = 2.0 * (y * z - x * w), 2.0 * (y * z + x * w)
-    return out
-
-
 def generator(seed: Any) -> np.random.Generator:
     """Return the random generator of a seed; a generator is returned as it is.
 

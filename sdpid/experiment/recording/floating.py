@@ -17,7 +17,6 @@ from sdpid._common.arrays import (
     frozen,
     frozen_view,
     real_array,
-    rotation_matrices,
     shaped,
 )
 from sdpid._common.files import printable
@@ -351,7 +350,9 @@ class BaseMotion(Sampled):
     @property
     def rotations(self) -> Array:
         """Rotation matrices of the orientations, base to world, (N, 3, 3)."""
-        return rotation_matrices(self.orientation)
+        from scipy.spatial.transform import Rotation
+
+        return np.asarray(Rotation.from_quat(self.orientation).as_matrix())
 
     def sensed(self, sensor: str) -> Array | None:
         """Return what a sensor of the IMU shows in the axes of the base; None where there is none.

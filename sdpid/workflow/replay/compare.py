@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from sdpid._common.arrays import Array, rotation_matrices
+from sdpid._common.arrays import Array
 from sdpid.errors import MissingExtraError, SdpidError
 from sdpid.verifier.bound import Proof
 from sdpid.verifier.exact import product
@@ -284,6 +284,8 @@ def _tidy(token: str) -> str:
 
 def _as_tensor(match: re.Match[str]) -> str:
     """Return the element of a body with its tensor: axes may come in any order and sign."""
+    from scipy.spatial.transform import Rotation
+
     pairs = _ATTRIBUTE.findall(match[0])
     given = dict(pairs)
     quaternion, moments = (given.get(key, "").split() for key in ("quat", "diaginertia"))
@@ -292,9 +294,9 @@ def _as_tensor(match: re.Match[str]) -> str:
     if len(given) != len(pairs) or (len(quaternion), len(moments)) != (4, 3) or not known:
         return match[0]
     w, x, y, z = map(float, quaternion)
-    if not 0.0 < (length := math.hypot(w, x, y, z)) < math.inf:
+    if not 0.0 < math.hypot(w, x, y, z) < math.inf:
         return match[0]
-    turn = rotation_matrices(np.array([[x, y, z, w]]) / length)[0]
+    turn = Rotation.from_quat([x, y, z, w]).as_matrix()
     tensor = (turn * np.array(moments, dtype=np.float64)) @ turn.T
     given |= {"tensor": " ".join(map(repr, tensor[np.triu_indices(3)].tolist()))}
     others = (f'{k}="{v}"' for k, v in given.items() if k not in ("quat", "diaginertia"))
