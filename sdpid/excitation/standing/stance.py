@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.robot.legs import Legs
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, frame_places
-from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.model import RobotModel, each_state
 
 # Coordinates of the base: metres from where it stands, and angles about its own x, then the
 # turned y, then the vertical axis, rad.
@@ -281,10 +282,9 @@ class Stance:
         twist, slope = _twist(poses, rate, second)
         velocity = np.einsum("knm,km->kn", poses.basis, twist)
         acceleration = np.einsum("knm,km->kn", poses.basis, slope)
-        drift = self._drift(poses, velocity)
-        own = poses.inverse @ drift[..., None]
-        acceleration[:, 6 + legs.joints] -= own[..., 0]
         velocity[:, :3] = 0.0
+        own = poses.inverse @ self._drift(poses, velocity)[..., None]
+        acceleration[:, 6 + legs.joints] -= own[..., 0]
         return StanceStates(poses, velocity, acceleration)
 
     @last_kept
@@ -323,32 +323,19 @@ class Stance:
 
     def _drift(self, poses: Poses, velocity: Array) -> Array:
         """Return the contacts' accelerations (K, c, 3 or 6) without any of the coordinates'."""
-        legs, joints = self.legs, self.legs.joints + 6
-        feet = np.arange(len(joints))[:, None]
-        J = np.moveaxis(poses.jacobians[:, feet, :, joints], (0, 1, 2), (1, 2, 0))
-        # (K, c, k, 6): linear columns and axes of each leg's joints, from the base outwards.
-        line, axis = J[..., :3], J[..., 3:]
-        speed = velocity[:, joints][..., None]
-        w = np.einsum("kij,kj->ki", poses.turned, velocity[:, 3:6])[:, None]
-        arm = self._arms(poses)
-        spin = np.cross(w, arm)
-        linear = np.cross(w, spin) + 2.0 * np.cross(w, (line * speed).sum(axis=2))
-        angular = np.cross(w, (axis * speed).sum(axis=2))
-        for i in range(joints.shape[1]):
-            for j in range(joints.shape[1]):
-                both = speed[:, :, i] * speed[:, :, j]
-                linear += both * np.cross(axis[:, :, min(i, j)], line[:, :, max(i, j)])
-                if i < j:
-                    angular += both * np.cross(axis[:, :, i], axis[:, :, j])
-        if legs.flat:
-            return np.concatenate([linear, angular], axis=2)
-        linear[:, :, 0] -= legs.radius * angular[:, :, 1]
-        linear[:, :, 1] += legs.radius * angular[:, :, 0]
-        return np.asarray(linear)
+        import pinocchio as pin
 
-    def _arms(self, poses: Poses) -> Array:
-        """Return the feet's frames from the base, world axes, (K, c, 3)."""
-        return frame_places(self.robot, poses.configuration, self.legs.frames)
+        numbers = [self.robot.frame_numbers[name] for name in self.legs.frames]
+        still, axes = np.zeros(self.robot.pin_model.nv), pin.LOCAL_WORLD_ALIGNED
+
+        def accelerations(model: Any, data: Any, q: Array, v: Array) -> list[Array]:
+            pin.forwardKinematics(model, data, q, v, still)
+            found = (pin.getFrameClassicalAcceleration(model, data, k, axes) for k in numbers)
+            return [each.vector for each in found]
+
+        states, shape = (poses.configuration, velocity), (len(numbers), 6)
+        found = each_state(accelerations, self.robot.pin_model, shape, *states)
+        return self.at_contacts(found[..., None])[:, :, : 6 if self.legs.flat else 3, 0]
 
 
 def _turns(rotations: Array) -> Array:
