@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -319,8 +319,6 @@ def obstacles_to_dict(obstacles: Iterable[Obstacle]) -> dict[str, list[dict[str,
 
 def named_apart(obstacles: Iterable[Obstacle], taken: Iterable[str]) -> tuple[Obstacle, ...]:
     """Return the obstacles with names that differ from each other and from those taken."""
-    from dataclasses import replace
-
     names, out = set(taken), []
     for obstacle in obstacles:
         if not isinstance(obstacle, (Plane, Box, Mesh)):

@@ -209,8 +209,7 @@ class _Rerun:
         self.sealed, self.recipe, self.data = sealed, sealed.recipe, sealed.data
         self.asked, self.given = sealed.recipe.problem, robot
         one = isinstance(logs, (Recording, str, os.PathLike)) or is_frame(logs)
-        alone = one or not isinstance(logs, Iterable)
-        several: Any = [logs] if alone else logs
+        several: Any = [logs] if one or not isinstance(logs, Iterable) else logs
         self.given_logs: list[Any] = [*several]
         for log in self.given_logs:
             # os.path's, because it does not raise for a name that is too long to be one.
