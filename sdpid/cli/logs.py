@@ -269,18 +269,11 @@ def robot_and_logs(given: Given, logs: Iterable[Path]) -> tuple[RobotModel, list
 
 def formulated(given: Given, logs: Iterable[Path]) -> tuple[Problem, Prepared]:
     """Return the problem that `sdpid identify` solves with these options, and its recordings."""
-    from sdpid.estimation.constraints.mass import known_mass
-    from sdpid.experiment.preparation.prepare import prepare
-    from sdpid.workflow.formulate import formulate
+    from sdpid.workflow.formulate import Formulation
 
     model, records = robot_and_logs(given, logs)
     options = formulation(given, model)
-    prepared = prepare(
-        model,
-        records,
-        processing(given),
-        without_effort=options.pop("without_effort"),
-        total_mass=known_mass(options["constraints"].others),
-        accept=given.accept,
-    )
-    return formulate(model, prepared, **options), prepared
+    how = {"without_effort": options.pop("without_effort"), "accept": given.accept}
+    asked = Formulation(**options)
+    prepared = asked.prepare(model, records, processing=processing(given), **how)
+    return asked.problem(prepared), prepared
