@@ -351,19 +351,17 @@ def _twist(poses: Poses, rate: Array, second: Array) -> tuple[Array, Array]:
 
     The linear part's derivative is the acceleration of the origin, in the base's axes.
     """
-    roll, pitch, _ = poses.angles.T
-    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
-    dr, dp, dy = rate[:, 3:6].T
-    ar, ap, ay = second[:, 3:6].T
     out, slope = rate.copy(), second.copy()
-    out[:, :3] = np.einsum("kji,kj->ki", poses.turned, rate[:, :3])
-    slope[:, :3] = np.einsum("kji,kj->ki", poses.turned, second[:, :3])
-    out[:, 3] = dr - sp * dy
-    out[:, 4] = cr * dp + sr * cp * dy
-    out[:, 5] = -sr * dp + cr * cp * dy
-    slope[:, 3] = ar - sp * ay - cp * dp * dy
-    slope[:, 4] = cr * ap + sr * cp * ay - sr * dr * dp + (cr * cp * dr - sr * sp * dp) * dy
-    slope[:, 5] = -sr * ap + cr * cp * ay - cr * dr * dp - (sr * cp * dr + cr * sp * dp) * dy
+    for each in (out, slope):
+        each[:, :3] = np.einsum("kji,kj->ki", poses.turned, each[:, :3])
+    # Axes of roll, pitch and yaw, the first at rest in the base, the last in the world.
+    roll, zero = poses.angles[:, 0], np.zeros(len(rate))
+    pitch, yaw = np.stack([zero, np.cos(roll), -np.sin(roll)], axis=1), poses.turned[:, 2]
+    axes = np.stack([np.tile(np.eye(3)[0], (len(rate), 1)), pitch, yaw], axis=1)
+    for each in (out, slope):
+        each[:, 3:6] = np.einsum("kai,ka->ki", axes, each[:, 3:6])
+    slope[:, 3:6] += rate[:, 4, None] * np.cross(pitch, rate[:, 3, None] * axes[:, 0])
+    slope[:, 3:6] += rate[:, 5, None] * np.cross(yaw, out[:, 3:6])
     return out, slope
 
 
