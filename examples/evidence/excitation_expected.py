@@ -31,7 +31,7 @@ from sdpid.assurance.intervals.delta_method import friction_curve
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
-from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
+from sdpid.excitation.criterion.belief import ExpectedNoise, usual_effort
 from sdpid.excitation.expected.expect import expect, rehearse
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.simulate import plant_parts

@@ -51,7 +51,7 @@ from study import Rows, Study
 
 import sdpid
 from sdpid.estimation.problem import Problem
-from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
+from sdpid.excitation.criterion.belief import ExpectedNoise, usual_effort
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.workflow.certify_parameters import GivenParameters, certify_parameters, read_given
 from sdpid.workflow.formulate import formulate

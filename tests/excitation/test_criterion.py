@@ -15,6 +15,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import build_problem
 from sdpid.excitation.criterion.belief import (
+    ExpectedNoise,
     default_prior,
     earlier_information,
     information_of_rows,
@@ -22,9 +23,9 @@ from sdpid.excitation.criterion.belief import (
     nominal_bodies,
     nominal_theta,
     prior_information,
+    usual_effort,
 )
 from sdpid.excitation.criterion.criterion import Criterion, Objective
-from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
 from sdpid.excitation.criterion.purpose import PURPOSES, Purpose, effort_functionals, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.robot.friction.model import FrictionModel

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.excitation.criterion.belief import EarlierInformation
-from sdpid.excitation.criterion.noise import ExpectedNoise
+from sdpid.excitation.criterion.belief import EarlierInformation, ExpectedNoise
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.expected.expect import _kept_above, _posterior, _sums, expect, rehearse
 from sdpid.excitation.expected.expected import Expected

@@ -9,8 +9,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
-from sdpid.excitation.criterion.belief import nominal_bodies
-from sdpid.excitation.criterion.noise import usual_effort
+from sdpid.excitation.criterion.belief import nominal_bodies, usual_effort
 from sdpid.excitation.criterion.rows import BaseRows
 
 PURPOSES = ("all", "payload", "friction", "gravity", "torque")

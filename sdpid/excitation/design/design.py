@@ -14,9 +14,8 @@ from sdpid._common.arrays import generator
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.information import UNDETERMINED, Excitation
 from sdpid.estimation.prior.prior import Prior
-from sdpid.excitation.criterion.belief import Previous
+from sdpid.excitation.criterion.belief import Given, Previous
 from sdpid.excitation.criterion.criterion import WORDS, ObjectiveKind
-from sdpid.excitation.criterion.noise import Given
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.design.task import MOTIONS, Motion, Request, Task
 from sdpid.excitation.expected.expect import expect

@@ -14,12 +14,12 @@ from sdpid.errors import DataError
 from sdpid.estimation.information import Excitation
 from sdpid.excitation.criterion.belief import (
     EarlierInformation,
+    ExpectedNoise,
     earlier_information,
     nominal_bodies,
     prior_information,
 )
 from sdpid.excitation.criterion.criterion import Criterion, Objective, ObjectiveKind
-from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.criterion.purpose import Purpose, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.geometry.collision import CollisionModel

@@ -32,11 +32,12 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.excitation.criterion.belief import (
     EarlierInformation,
+    ExpectedNoise,
+    Given,
     default_prior,
     information_of_rows,
     nominal_theta,
 )
-from sdpid.excitation.criterion.noise import ExpectedNoise, Given
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.expected.expected import NORMAL, Band, Duration, Expected
 from sdpid.excitation.expected.open_directions import States, open_directions

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Shown, Table, plain, plain_dict
-from sdpid.excitation.criterion.noise import ExpectedNoise
+from sdpid.excitation.criterion.belief import ExpectedNoise
 from sdpid.excitation.expected.open_directions import OpenDirection
 from sdpid.robot.inertia import PARAMETER_NAMES
 from sdpid.robot.model.base_parameters import BaseParameters

@@ -15,9 +15,14 @@ import numpy as np
 from sdpid._common.arrays import Array, generator
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.prior.prior import Prior
-from sdpid.excitation.criterion.belief import nominal_bodies, prior_information
+from sdpid.excitation.criterion.belief import (
+    LASTING,
+    ExpectedNoise,
+    Given,
+    nominal_bodies,
+    prior_information,
+)
 from sdpid.excitation.criterion.criterion import Criterion, Objective
-from sdpid.excitation.criterion.noise import LASTING, ExpectedNoise, Given
 from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.limits.joint_limits import NONE, JointLimits
 from sdpid.excitation.limits.limits import Limits
