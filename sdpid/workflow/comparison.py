@@ -110,11 +110,10 @@ class Comparison(Shown):
 
     def _table(self) -> Table:
         """Return the rows without messages, under short names."""
-        shown = {"worst_margin": "margin"}
         names = [name for name in _COLUMNS if name not in ("violation", "message")]
         rows = tuple(tuple(getattr(row, name) for name in names) for row in self.rows)
         formats = {"cost": ".8g", "gap": ".1e", "margin": ".2e", "seconds": ".3g"}
-        return Table(tuple(shown.get(name, name) for name in names), rows, formats)
+        return Table(tuple(name.removeprefix("worst_") for name in names), rows, formats)
 
     def to_frame(self) -> Any:
         """Return the rows as a pandas DataFrame."""

@@ -159,7 +159,8 @@ def save(
     require_writable(Path(folder), writes_config=config is not None)
     if intervals is not None:
         result = replace(result, intervals=intervals)
-    estimate, certificate, ends = result.estimate, result.certificate, result.intervals
+    estimate, certificate, drives = result.estimate, result.certificate, result.drives
+    ends = result.intervals
     exports: list[ExportReport] = []
 
     def fill(stage: Path) -> dict[str, Any]:
@@ -169,18 +170,17 @@ def save(
             path = stage / "parameters.json"
             write_parameters(estimate, path, intervals=ends, certificate=certificate)
             certificate.to_json(stage / "certificate.json")
-            used = estimate if result.drives is None else result.drives.estimate(rich=tendons)
-            how = {"offsets": offsets, "tendons": tendons, "steep": result.drives is None}
+            used = estimate if drives is None else drives.estimate(rich=tendons)
+            how = {"offsets": offsets, "tendons": tendons, "steep": drives is None}
             exports.extend(_robots(result, used, stage, note, elastic, **how))
             if result.elasticity is not None:
                 result.elasticity.save(stage / "elasticity.json")
                 result.elasticity.table().write(stage / "elasticity.csv")
             _friction(result, stage, note)
-            if result.drives is not None:
-                note(write_drives(result.drives, stage))
-                if not bare:
-                    mjcf = stage / "identified.xml"
-                    write_drive_draws(result.drives, stage / DRIVE_SAMPLES, mjcf)
+            if drives is not None:
+                note(write_drives(drives, stage))
+            if drives is not None and not bare:
+                write_drive_draws(drives, stage / DRIVE_SAMPLES, stage / "identified.xml")
             if figures:
                 _figures(result, stage)
             if not bare:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -279,17 +279,18 @@ class Expected(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: None where a number is not finite."""
+        standard: dict[str, Sequence[Any]] = {
+            "name": self.base.theta_names,
+            "unit": self.base.theta_units,
+            "value": self.theta.tolist(),
+            "half_width": self.theta_half_widths.tolist(),
+            "prior_share": self.theta_prior_share.tolist(),
+        }
         content = {
             "seconds": self.seconds,
             "sentences": list(self.sentences()),
-            "base_parameters": _records(**self._base()),
-            "standard_parameters": _records(
-                name=self.base.theta_names,
-                unit=self.base.theta_units,
-                value=self.theta,
-                half_width=self.theta_half_widths,
-                prior_share=self.theta_prior_share,
-            ),
+            "base_parameters": Table.of_columns(self._base()),
+            "standard_parameters": Table.of_columns(standard),
             "friction": {
                 "speed": self.speeds,
                 "value": self.friction,
@@ -303,11 +304,6 @@ class Expected(Shown):
             "notes": self.notes,
         }
         return plain_dict(content)
-
-
-def _records(**columns: Iterable[Any]) -> list[dict[str, Any]]:
-    """Return one dictionary a row."""
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _within(share: float) -> str:

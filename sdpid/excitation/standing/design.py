@@ -204,10 +204,9 @@ def _joints(robot: RobotModel, limits: Limits | None, standing: Array) -> JointL
     model = robot.pin_model
     held = RobotModel.from_pinocchio(pin.buildReducedModel(model, [1], pin.neutral(model)))
     found = (limits or Limits()).of(held, standing, share=_SHARE, assume=False)
-    told = f"{100.0 * _RESERVE:g} % of every torque limit are kept for friction."
     kept = [note for note in found.assumed if "acceleration" not in note and "jerk" not in note]
     if np.isfinite(found.torque).any():
-        kept.append(told)
+        kept.append(f"{100.0 * _RESERVE:g} % of every torque limit are kept for friction.")
     return replace(found, torque=(1.0 - _RESERVE) * found.torque, assumed=tuple(kept))
 
 

@@ -249,14 +249,13 @@ def write_standing(
 
 def plan_content(plan: StandingPlan) -> dict[str, Any]:
     """Return a plan's results as plain values: limits, expected errors, notes."""
-    table = plan.table()
     content = {
         "sdpid": __version__,
         "robot": plan.robot.name,
         "joint_names": plan.motion.joint_names,
         "feet": plan.motion.frames,
         "duration_s": plan.motion.duration,
-        "base_parameters": [dict(zip(table.header, row, strict=True)) for row in table.rows],
+        "base_parameters": plan.table(),
         "limits": plan.limits.to_dict(),
         "sentences": plan.sentences(),
         "notes": plan.notes,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table
+from sdpid._common.tables import plain
 from sdpid.assurance.diagnostics.held_out import OURS
 from sdpid.assurance.diagnostics.mass_matrix import SmallestMassEigenvalue, smallest_mass_eigenvalue
 from sdpid.assurance.intervals.delta_method import link_properties, properties
@@ -42,7 +42,7 @@ def values(of: VerdictSubject, intervals: Intervals | None, charts: Charts) -> d
     """Return the values of the templates."""
     base, theta = base_rows(of, intervals), []
     if of.estimate.theta is not None:
-        theta = _records(theta_table(of.estimate, intervals))
+        theta = plain(theta_table(of.estimate, intervals))
     return {
         "forest": list(_pictures(of, intervals)),
         "base": base,
@@ -61,17 +61,12 @@ def values(of: VerdictSubject, intervals: Intervals | None, charts: Charts) -> d
 
 def base_rows(of: VerdictSubject, intervals: Intervals | None) -> list[dict[str, Any]]:
     """Return the rows of the table of base parameters."""
-    rows = _records(base_table(of.estimate, of.result.wls, intervals))
+    rows: list[dict[str, Any]] = plain(base_table(of.estimate, of.result.wls, intervals))
     for row in rows:
         error = row["standard_error"]
         if error is not None and abs(row["value"]) < _NOTHING * error:
             row["value"] = 0.0
     return rows
-
-
-def _records(table: Table) -> list[dict[str, Any]]:
-    """Return the rows of a table by their columns' names."""
-    return [dict(zip(table.header, row, strict=True)) for row in table.rows]
 
 
 # In the order of importance; NaN is not drawn.
