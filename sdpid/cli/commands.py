@@ -119,7 +119,8 @@ def _row(title: str | None, usage: str, text: str) -> OptionRow:
         kind = ValueKind(bool)
     elif metavar not in KINDS and "|" in metavar:
         words = metavar.split("|")
-        kind = ValueKind(_choices(words), lambda chosen, _: chosen.value)
+        choice = Enum("Choice", {word: word for word in words}, type=str)  # type: ignore[misc]
+        kind = ValueKind(choice, lambda chosen, _: chosen.value)
         metavar, text = "WORD", f"{text} One of {', '.join(words)}."
     else:
         kind = KINDS.get(metavar, ValueKind())
@@ -134,11 +135,6 @@ def _row(title: str | None, usage: str, text: str) -> OptionRow:
         help=text,
         panel=title,
     )
-
-
-def _choices(words: list[str]) -> Any:
-    """Return the type of a value that is one of some words."""
-    return Enum("Choice", {word: word for word in words}, type=str)
 
 
 def _default(text: str, kind: Any, flags: tuple[str, ...]) -> Any:

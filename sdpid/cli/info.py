@@ -27,8 +27,7 @@ def info(given: Given) -> None:
     log = read_described(given.log, without_effort=absent, **reading(given), **periods(given))
     model = None if given.robot is None else robot_of(given.robot, [log.recording])
     facts = overview(log.recording, model, without_effort=joints)
-    source = {"file": log.file, "mapping": log.mapping, "read_from": log.sources}
-    content = {**source, **facts}
+    content = {"file": log.file, "mapping": log.mapping, "read_from": log.sources, **facts}
     rows, findings = facts.pop("joints"), facts.pop("findings")
     chosen = (facts["processing"] or {}).items()
     facts["processing"] = ", ".join(f"{key.replace('_', ' ')} {_text(it)}" for key, it in chosen)

@@ -69,10 +69,10 @@ def _audit_table(given: Given) -> bool:
     from sdpid.assurance.tables.csv_table import read_base_table
     from sdpid.robot.model.load import load_robot
 
-    width: str | float | None = given.halfwidth
-    if width is not None:
-        with suppress(ValueError):
-            width = float(width)
+    width = given.halfwidth
+    # The name of a column, or None.
+    with suppress(ValueError, TypeError):
+        width = float(width)
     published = read_base_table(given.source, value=given.value, halfwidth=width)
     model = load_robot(given.robot)
     result = audit_base_parameters(

@@ -193,14 +193,13 @@ def formulation(given: Given, robot: RobotModel) -> dict[str, Any]:
     """Return the arguments of `formulate`: bounds follow the robot's size where not given."""
     from sdpid.estimation.constraints.constraints import Constraints
 
-    bounds = {} if given.mass_max is None else {"mass_max": given.mass_max}
-    others = tuple(_conditions(given, robot))
+    others, bounds = tuple(_conditions(given, robot)), given.chosen("margin mass_max")
     return {
         "friction": given.friction,
         "without_effort": given.without_effort or [],
         "weighting": given.weighting,
         "consistency": given.consistency,
-        "constraints": Constraints.of_size(robot, margin=given.margin, others=others, **bounds),
+        "constraints": Constraints.of_size(robot, others=others, **bounds),
         "prior": _prior(given, robot),
         "effects": given.effects,
     }
@@ -244,17 +243,13 @@ def _conditions(given: Given, robot: RobotModel) -> Iterable[Condition]:
 
 def law(given: Given, robot: RobotModel) -> dict[str, Any]:
     """Return the arguments of `identify` about the law that ran."""
-    own = ("kp", "kd", "delay", "limit")
+    own, found = "kp kd delay limit", {"target": given.for_}
     if given.law is None:
-        for name in own:
-            if getattr(given, name) is not None:
-                raise DataError(f"--{name}: is of a law; give --law pd as well.")
-        return {"target": given.for_}
+        given.refuse(own, "is of a law; give --law pd as well.")
+        return found
     from sdpid.experiment.simulation.law import law_of
 
-    numbers = {name: getattr(given, name) for name in own}
-    found = {k: v for k, v in numbers.items() if v is not None}
-    return {"law": law_of(given.law, robot, found), "target": given.for_}
+    return {"law": law_of(given.law, robot, given.chosen(own)), **found}
 
 
 def robot_and_logs(given: Given, logs: Iterable[Path]) -> tuple[RobotModel, list[Recording]]:

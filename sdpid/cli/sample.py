@@ -111,10 +111,8 @@ def sample(given: Given) -> None:
 
 def _kinds(urdf: bool | None, mjcf: bool | None, *, described: bool) -> tuple[RobotKind, ...]:
     """Return the formats to write: what was asked for, else URDF, or MJCF where there is none."""
-    if urdf is None:
-        urdf = described and not mjcf
-    if mjcf is None:
-        mjcf = not urdf
-    if not (urdf or mjcf):
+    urdf = described and not mjcf if urdf is None else urdf
+    asked: dict[RobotKind, bool] = {"urdf": urdf, "mjcf": not urdf if mjcf is None else mjcf}
+    if not any(asked.values()):
         raise DataError("--no-urdf, --no-mjcf: nothing to write; leave one of them out.")
-    return (*(("urdf",) if urdf else ()), *(("mjcf",) if mjcf else ()))
+    return tuple(kind for kind, wanted in asked.items() if wanted)
