@@ -28,14 +28,11 @@ from sdpid.excitation.limits.measures import (
     with_tolerance,
 )
 from sdpid.excitation.limits.torque import TorqueModel
-from sdpid.experiment.trajectory.curve import Curve, SampledCurve
-from sdpid.experiment.trajectory.reading import read_trajectory
+from sdpid.experiment.trajectory.curve import Curve
+from sdpid.experiment.trajectory.reading import read_trajectory, sampled_curve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-
-# The quantities of sampled motions; the first is needed.
-_QUANTITIES = ("position", "velocity", "acceleration")
 
 # What is taken for a motion.
 Motion = Trajectory | Curve | str | os.PathLike[str] | Mapping[str, Any]
@@ -66,7 +63,7 @@ def curves_of(robot: RobotModel, motion: Motion) -> tuple[tuple[float, Curve], .
     if hasattr(motion, "enclose") and hasattr(motion, "breaks"):
         curve = motion  # type: ignore[assignment]
     elif hasattr(motion, "keys") and hasattr(motion, "__getitem__"):
-        curve = _of_columns(robot, motion)
+        curve = sampled_curve(motion, robot.joint_names)
     else:
         raise DataError(
             f"motion: got {type(motion).__name__}; give a Trajectory, a file, or columns time, "
@@ -78,27 +75,6 @@ def curves_of(robot: RobotModel, motion: Motion) -> tuple[tuple[float, Curve], .
             f"{', '.join(robot.joint_names)}."
         )
     return ((0.0, curve),)
-
-
-def _of_columns(robot: RobotModel, columns: Any) -> Curve:
-    """Return the curve through the samples of a mapping or a data frame."""
-    names = [str(name) for name in columns.keys()]  # noqa: SIM118 - of a data frame, too
-    found: dict[str, Any] = {}
-    for quantity in _QUANTITIES:
-        own = [f"{quantity}_{joint}" for joint in robot.joint_names]
-        if quantity in names:
-            found[quantity] = np.asarray(columns[quantity])
-        elif all(name in names for name in own):
-            found[quantity] = np.column_stack([np.asarray(columns[name]) for name in own])
-        elif any(name in names for name in own) or quantity == "position":
-            missing = [name for name in own if name not in names]
-            raise DataError(
-                f"motion: column {missing[0]} is missing; give {', '.join(own)}, or {quantity} as "
-                f"(K, {robot.n}). Found: {', '.join(names[:40]) or 'nothing'}."
-            )
-    if "time" not in names:
-        raise DataError(f"motion: column time is missing. Found: {', '.join(names[:40])}.")
-    return SampledCurve(time=np.asarray(columns["time"]), **found)
 
 
 def _order(robot: RobotModel, names: Sequence[str]) -> Indices:

@@ -6,7 +6,9 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -86,6 +88,14 @@ def read_trajectory(
         position_range=np.tile([-np.inf, np.inf], (curve.n, 1)),
         velocity_limit=np.full(curve.n, np.inf),
     )
+
+
+def sampled_curve(columns: Any, joint_names: Sequence[str]) -> SampledCurve:
+    """Return the curve through samples in a mapping or a data frame, columns as in a file."""
+    names, motion = columns.keys(), Path("motion")
+    table = LogTable({str(name): partial(np.asarray, columns[name]) for name in names})
+    with named(motion):
+        return _sampled(motion, table, joint_names)[0]
 
 
 def between_rests(motion: Trajectory) -> Trajectory:
