@@ -11,6 +11,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.excitation.criterion.belief import nominal_bodies, usual_effort
 from sdpid.excitation.criterion.rows import BaseRows
+from sdpid.robot.model.model import independent_rows
 
 PURPOSES = ("all", "payload", "friction", "gravity", "torque")
 
@@ -78,7 +79,8 @@ def purpose_of(
     if name == "all":
         return _made(name, every, every, "volume")
     if name == "payload":
-        held = _independent(base.matrix[:, links - 10 : links])
+        body = base.matrix[:, links - 10 : links]
+        held = body[:, independent_rows(body.T, range(10))]
         return _made(name, held, np.eye(held.shape[1]), "volume")
     if name == "friction":
         own = np.flatnonzero(base.kept >= links)
@@ -130,15 +132,6 @@ def effort_functionals(
         mean += flat.T @ flat / (len(q) * len(scale))
     values, vectors = np.linalg.eigh(mean)
     return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
-
-
-def _independent(columns: Array) -> Array:
-    """Return the columns of a matrix that are independent, scanned from the first on."""
-    kept: list[int] = []
-    for k in range(columns.shape[1]):
-        if np.linalg.matrix_rank(columns[:, [*kept, k]], tol=1e-9) > len(kept):
-            kept.append(k)
-    return columns[:, kept]
 
 
 def _made(

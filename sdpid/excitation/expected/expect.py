@@ -50,6 +50,7 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.curve import is_closed
 from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm, SampledMotion
 from sdpid.robot.model.base_parameters import structural_base
@@ -445,9 +446,8 @@ def _again(
 def _positive(matrix: Array) -> Array:
     """Return the nearest positive semidefinite matrix, in units of its diagonal."""
     size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
-    positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return np.asarray(positive * np.outer(size, size))
+    units = np.outer(size, size)
+    return np.asarray(raise_eigenvalues(matrix / units, 0.0) * units)
 
 
 def _posterior(run: Rehearsal, sums: Array) -> tuple[Posterior, Array]:

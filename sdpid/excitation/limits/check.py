@@ -250,6 +250,12 @@ class LimitCheck(Shown):
         rows = [row for row in self.rows if row.kind == kind]
         return min(rows, key=lambda row: row.slack / (abs(row.limit) or 1.0), default=None)
 
+    @property
+    def nearest(self) -> tuple[LimitRow, ...]:
+        """The row of each kind with the least slack, see `least`."""
+        kinds = dict.fromkeys(row.kind for row in self.rows)
+        return tuple(row for kind in kinds if (row := self.least(kind)) is not None)
+
     def sentences(self) -> tuple[str, ...]:
         """Return one sentence for each limit that is not held."""
         return tuple(row.sentence() for row in self.broken)

@@ -229,11 +229,8 @@ class Narrowing:
 
     def __post_init__(self) -> None:
         require_fixed_robot(self.robot, "limits")
-        self._names, self._n, self._sliding = (
-            self.robot.joint_names,
-            self.robot.n,
-            self.robot.slides,
-        )
+        self._names, self._n = self.robot.joint_names, self.robot.n
+        self._sliding = self.robot.slides
         self._told: list[str] = []
         self._sources: dict[str, tuple[str, ...]] = {}
 

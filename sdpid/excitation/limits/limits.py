@@ -143,10 +143,9 @@ class Limits(Settings):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields that are given, as JSON and `Limits` take them."""
-        given = {each.name: getattr(self, each.name) for each in fields(self)}
         return {
             name: plain(_each(value, _text))
-            for name, value in given.items()
+            for name, value in vars(self).items()
             if value is not None and value is not False
         }
 

@@ -111,18 +111,13 @@ class StandingPlan(Shown):
         """Return what the run will buy, and which limit is nearest, in words."""
         bought = np.log(self.before / self.standard_errors)
         best = [self.base.names[i] for i in np.argsort(-bought)[:5]]
-        nearest = [
-            row
-            for kind in dict.fromkeys(row.kind for row in self.limits.rows)
-            if (row := self.limits.least(kind)) is not None
-        ]
         return (
             f"after {self.curve.duration:g} s {self._known()}",
             f"most is gained of {', '.join(best)}",
             *(
                 f"nearest limit of {row.kind}: {row.subject} comes to {row.reached:.4g} {row.unit},"
                 f" the {'least' if row.side == 'lower' else 'most'} is {row.limit:.4g}"
-                for row in nearest
+                for row in self.limits.nearest
             ),
         )
 

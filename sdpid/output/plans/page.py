@@ -192,9 +192,8 @@ def safe_sentence(check: LimitCheck) -> str:
     if not check.ok:
         return f"Not every limit is proven to hold: {' '.join(check.sentences()[:_FEW])}"
     # Distances are checked last, and told first.
-    kinds = dict.fromkeys(row.kind for row in reversed(check.rows))
-    least = [row for kind in kinds if (row := check.least(kind)) is not None]
-    return f"Every limit holds at every instant: {'; '.join(map(_slack, least))}.{_closer(check)}"
+    least = "; ".join(map(_slack, check.nearest[::-1]))
+    return f"Every limit holds at every instant: {least}.{_closer(check)}"
 
 
 def _slack(row: LimitRow) -> str:
