@@ -150,8 +150,7 @@ def compare(given: Given) -> None:
     from sdpid.workflow.comparison import compare as run
 
     problem, prepared = logs.formulated(given, [given.log])
-    options = given.chosen("starts seed max_iterations")
-    comparison = run(problem, n_jobs=given.jobs, **options)
+    comparison = run(problem, n_jobs=given.jobs, **given.chosen("starts seed max_iterations"))
     files = [] if given.out is None else [given.out]
     if files:
         comparison.to_csv(given.out)
@@ -238,12 +237,11 @@ def validate(given: Given) -> None:
     )
     findings, samples = prepared.findings, prepared.samples
     fit = validate_robot(model, samples)
-    files = []
-    if given.figure is not None:
+    files = [] if given.figure is None else [given.figure]
+    if files:
         from sdpid.plots.figures import save_figure
 
         save_figure(fit.plot(), given.figure)
-        files.append(given.figure)
     verdict = [finding.text for finding in prediction_findings(model, samples, fit)]
     parts = [
         f"{model.name}: relative residual in motion {100 * fit.told.relative:.2f} %\n"

@@ -134,10 +134,7 @@ def _legged(given: Given) -> None:
         seed=given.seed,
         sensors=Sensors() if given.noise else replace(Sensors.exact(), forces=False),
     )
-    true, described = (
-        float(bodies.reshape(-1, 10)[:, 0].sum())
-        for bodies in (theta[: 10 * robot.n_links], robot.prior)
-    )
+    true, described = theta[: 10 * robot.n_links : 10].sum(), robot.prior[:, 0].sum()
     mass = f"true total mass {true:.4g} kg, of the description {described:.4g} kg"
     csv = given.out.suffix.lower() == ".csv"
     _write(given, run.recording, [mass, *run.recording.notes], [beside if csv else None])
