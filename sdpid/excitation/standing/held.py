@@ -196,16 +196,10 @@ class Held:
         low, high = self.share * self._sole
         normal, moment = force[:, :, 2], force[:, :, 3:]
         turn = self.share * self.grip * 0.5 * np.ptp(self._sole, axis=0).min()
-        yield (
-            "pressure along x",
-            -moment[:, :, 1] - low[0] * normal,
-            (high[0] * normal + moment[:, :, 1]),
-        )
-        yield (
-            "pressure along y",
-            moment[:, :, 0] - low[1] * normal,
-            (high[1] * normal - moment[:, :, 0]),
-        )
+        tips = {"x": -moment[:, :, 1], "y": moment[:, :, 0]}
+        for axis, least, most in zip(tips, low, high, strict=True):
+            tip = tips[axis]
+            yield f"pressure along {axis}", tip - least * normal, most * normal - tip
         yield "torsion", turn * normal - moment[:, :, 2], turn * normal + moment[:, :, 2]
 
     def quantities(self, states: StanceStates) -> Iterator[Quantity]:

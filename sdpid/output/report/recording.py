@@ -11,6 +11,7 @@ from sdpid._common.arrays import Mask
 from sdpid.assurance.diagnostics.causes import period
 from sdpid.estimation.information import WEAK
 from sdpid.experiment.processing.samples import Samples
+from sdpid.output.report.kinds import percent
 from sdpid.output.report.subject import VerdictSubject
 from sdpid.robot.model.model import RobotModel
 
@@ -97,10 +98,7 @@ def _data(of: VerdictSubject, parts: list[Samples]) -> Iterator[tuple[str, list[
         for c in (s.contacts for s in parts)
     ]
     for frame in dict.fromkeys(name for down in touching for name in down):
-        shares = [
-            f"{100.0 * float(down[frame].mean()):.3g} %" if frame in down else "–"
-            for down in touching
-        ]
+        shares = [percent(down[frame].mean()) if frame in down else "–" for down in touching]
         yield f"{frame} closed, with the filter's memory", shares
     if any(s.contacts is not None for s in parts):
         yield "contacts closed at once", [_at_once(s) for s in parts]
@@ -111,7 +109,7 @@ def _at_once(samples: Samples) -> str:
     if samples.contacts is None:
         return "–"
     shares = np.bincount(samples.contacts.down.sum(axis=1)) / samples.n_samples
-    return ", ".join(f"{k}: {100.0 * share:.3g} %" for k, share in enumerate(shares) if share > 0.0)
+    return ", ".join(f"{k}: {percent(share)}" for k, share in enumerate(shares) if share > 0.0)
 
 
 def _rate(samples: Samples, count: int) -> str:
