@@ -113,21 +113,17 @@ class Unknowns:
 
     def unpack(self, x: Array, drives: DriveNumbers) -> tuple[DriveNumbers, list[Array]]:
         """Return drives and starts of a vector; what is not free stays as in `drives`."""
-        size = len(self.rows) * self.n
-        rows = dict(zip(self.rows, x[:size].reshape(-1, self.n), strict=True))
-        found = drives.with_rows(**rows)
+        rows, delay, starts = np.split(x, [len(self.rows) * self.n, len(self.names)])
+        found = drives.with_rows(**dict(zip(self.rows, rows.reshape(-1, self.n), strict=True)))
         if self.delay:
-            found = replace(found, delay=float(x[size]))
-        starts = x[size + self.delay :].reshape(self.motions, 2, self.n)
-        return found, list(starts)
+            found = replace(found, delay=float(delay[0]))
+        return found, list(starts.reshape(self.motions, 2, self.n))
 
     def bounds(self) -> tuple[Array, Array]:
         """Return the least and largest values that the numbers may have, (count,) each."""
         low, high = np.full(self.count, -np.inf), np.full(self.count, np.inf)
-        for k, name in enumerate(self.rows):
-            if name in _NOT_NEGATIVE:
-                low[k * self.n : (k + 1) * self.n] = 0.0
-        if self.delay:
-            k = len(self.rows) * self.n
-            low[k], high[k] = 0.0, LONGEST_DELAY
+        least = [0.0 if name in _NOT_NEGATIVE else -np.inf for name in self.rows]
+        size = len(self.rows) * self.n
+        low[:size], delay = np.repeat(least, self.n), slice(size, size + self.delay)
+        low[delay], high[delay] = 0.0, LONGEST_DELAY
         return low, high

@@ -57,6 +57,7 @@ class SolvedRollouts:
     cost: float
 
     @classmethod
+    @np.errstate(over="ignore")
     def of(
         cls,
         rollouts: Sequence[LawRollout],
@@ -232,17 +233,16 @@ def normal_equations(
 ) -> tuple[Array, Array, Array]:
     """Return JᵀJ, Jᵀe, and the sums of Jᵀe over blocks of rows, (blocks, count).
 
-    `at` says which numbers the columns of a motion's joints are by (−1: none). With a regressor
-    these are those of links, too; else as in `LawRollout.columns`.
+    `at` says which numbers the columns of a motion's joints are by. With a regressor these are
+    those of links, too; else as in `LawRollout.columns`.
     """
     H, scores = np.zeros((count, count)), []
     for k, (rollout, motion) in enumerate(zip(solved.rollouts, solved.motions, strict=True)):
         starts, e = _block_starts(rollout), solved.missed[k]
         score = np.zeros((len(starts), count))
         Y = None if regressor is None else regressor(motion)
-        for joints, every in rollout.columns(motion, solved.drives, rows, delay, Y):
+        for joints, J in rollout.columns(motion, solved.drives, rows, delay, Y):
             where = at(k, joints)
-            J, where = every[:, :, where >= 0], where[where >= 0]
             flat = J.reshape(-1, len(where))
             H[np.ix_(where, where)] += flat.T @ flat
             moved = np.einsum("tik,ti->tk", J, e[:, joints])

@@ -74,12 +74,12 @@ def theta_with(problem: Problem, theta: Array, drives: DriveNumbers) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointNormal:
-    """Normal equations of base parameters and of all else about a fit.
+    """Normal equations of the robot's parameters and of all else about a fit.
 
     Attributes
     ----------
     problem : Problem
-        Whose base parameters come first.
+        Whose standard parameters come first.
     fit : PositionFit
         The fit.
     unknowns : Unknowns
@@ -101,30 +101,32 @@ class JointNormal:
     @classmethod
     def of(cls, problem: Problem, fit: PositionFit) -> JointNormal:
         """Gather them at a fit."""
-        base = problem.base
         more = tuple(kind for kind in fit.unknowns.rows if kind not in SYMBOLS.values())
-        unknowns = replace(fit.unknowns, rows=more)
-        # Where parameters stand among the base parameters; −1 for those that are none.
-        place = np.full(problem.n_theta, -1)
-        place[base.kept] = np.arange(base.count)
-        own = {name: k for k, name in enumerate(base.theta_names)}
+        unknowns, p = replace(fit.unknowns, rows=more), problem.n_theta
+        own = {name: k for k, name in enumerate(problem.base.theta_names)}
 
         def at(k: int, joints: Indices) -> Indices:
-            friction = [place[own[f"{s}{j + 1}"]] for s in SYMBOLS for j in joints]
-            links = place[(10 * joints[:, None] + np.arange(10)).ravel()]
-            return np.concatenate([friction, base.count + unknowns.at(k, joints), links])
+            friction = [own[f"{s}{j + 1}"] for s in SYMBOLS for j in joints]
+            links = (10 * joints[:, None] + np.arange(10)).ravel()
+            return np.concatenate([friction, p + unknowns.at(k, joints), links])
 
         def regressor(motion: SolvedMotion) -> Array:
             states = motion.position[:-1], motion.velocity[:-1], motion.acceleration
             size = len(motion.acceleration) * problem.robot.n * 10 * problem.robot.n_links
             return problem.robot.regressor_columns(*states, compiled=8 * size >= _LARGE)
 
-        kinds, size = (*SYMBOLS.values(), *more), base.count + unknowns.count
+        kinds, size = (*SYMBOLS.values(), *more), p + unknowns.count
         H, g, scores = normal_equations(fit, kinds, unknowns.delay, size, at, regressor)
-        seen = np.diag(H) > 1e-12 * np.diag(H).max()
-        spread = np.sum((scores - scores.mean(axis=0)) ** 2, axis=0)[seen] / np.diag(H)[seen]
-        variance = max(float(np.median(spread)), fit.cost / fit.size)
-        return cls(problem, fit, unknowns, H, g, scores, variance)
+        found = cls(problem, fit, unknowns, H, g, scores, fit.cost / fit.size)
+        information, spread = np.diag(H), np.sum((scores - scores.mean(axis=0)) ** 2, axis=0)
+        seen = found.independent[information[found.independent] > 1e-12 * information.max()]
+        variance = max(float(np.median(spread[seen] / information[seen])), found.variance)
+        return replace(found, variance=variance)
+
+    @property
+    def independent(self) -> Indices:
+        """Places of the base parameters, and of what comes behind the parameters."""
+        return np.append(self.problem.base.kept, np.arange(self.problem.n_theta, len(self.H)))
 
     def step(
         self, theta: Array, *, held: bool = False, damping: float = 0.0
@@ -140,14 +142,14 @@ class JointNormal:
         damping : float, optional
             Of all that is no base parameter, relative to how the log shows it.
         """
-        b, free = self.problem.base.count, np.ones(self.unknowns.count, dtype=bool)
+        base, free = self.problem.base.kept, np.ones(self.unknowns.count, dtype=bool)
         if held:
             free[len(self.unknowns.names) - 1] = False
-        rest = b + np.flatnonzero(free)
-        own, cross = self.H[np.ix_(rest, rest)], self.H[:b, rest]
+        rest = self.problem.n_theta + np.flatnonzero(free)
+        own, cross = self.H[np.ix_(rest, rest)], self.H[np.ix_(base, rest)]
         inverse = scaled_inverse(own + damping * np.diag(np.maximum(np.diag(own), UNSEEN)))
-        S = self.H[:b, :b] - cross @ inverse @ cross.T
-        pull = self.g[:b] - cross @ inverse @ self.g[rest]
+        S = self.H[np.ix_(base, base)] - cross @ inverse @ cross.T
+        pull = self.g[base] - cross @ inverse @ self.g[rest]
         A = information_rows(S / self.variance)
         at = self.problem.base_of(theta)
         rhs = A @ at + np.linalg.pinv(A).T @ pull / self.variance
@@ -188,13 +190,9 @@ class JointNormal:
             Whether the delay stays too.
         """
         problem, names = self.problem, list(self.unknowns.names)
-        p, b = problem.n_theta, problem.base.count
-        size = p + self.unknowns.count
-        T = np.zeros((len(self.H), size))
-        T[:b, :p], T[b:, p:] = problem.base.matrix, np.eye(self.unknowns.count)
-        R = np.zeros((0, size))
-        if (prior := prior_rows(estimate)).size:
-            R = np.hstack([prior, np.zeros((len(prior), size - p))])
+        p, size = problem.n_theta, len(self.H)
+        prior = prior_rows(estimate)
+        R = np.hstack([prior, np.zeros((len(prior), size - p))])
         # What is at a bound stays.
         friction, links = problem.friction.parameters, 10 * problem.robot.n_links
         free = np.ones(size, dtype=bool)
@@ -202,14 +200,14 @@ class JointNormal:
         delay = p + len(names) - 1
         if held:
             free[delay] = False
-        M = T.T @ self.H @ T / self.variance + R.T @ R
+        M = self.H / self.variance + R.T @ R
         inverse = np.zeros((size, size))
         inverse[np.ix_(free, free)] = scaled_inverse(M[np.ix_(free, free)])
         # Blocks of the residuals' scores, and the prior's rows with a variance of one.
         blocks = len(self.scores)
         centered = self.scores - self.scores.mean(axis=0)
         shown = (centered.T @ centered) * blocks / max(blocks - 1, 1) / self.variance**2
-        found = inverse @ (T.T @ shown @ T + R.T @ R) @ inverse
+        found = inverse @ (shown + R.T @ R) @ inverse
         moves = np.zeros(size)
         if held:
             moves = -inverse @ M[:, delay]

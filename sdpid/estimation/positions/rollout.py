@@ -9,7 +9,7 @@ of the equations says, is compared with the level of dry friction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,8 +23,8 @@ from sdpid.experiment.simulation.law import DriveCommands
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Newton's rounds end after a move of no position by more (rad or m): the next one is a hundredth of
-# it and less. Without success they end after so many.
-_SETTLED, _ROUNDS = 1e-5, 15
+# it and less. Without success they end after so many, or after a move that is none.
+_SETTLED, _ROUNDS, _LOST = 1e-5, 15, 1e12
 
 # The robot's slopes are taken along the measured motion below this frequency, Hz: they change with
 # its position and velocity, not with its noise.
@@ -51,6 +51,8 @@ class SolvedMotion:
         Positions at the ends of the steps.
     converged : bool
         Whether Newton's method came to an end.
+    bands : tuple of ndarray
+        The equations of each tree of joints, as `solve_steps` takes them.
     """
 
     position: Array
@@ -61,8 +63,7 @@ class SolvedMotion:
     side: Array
     free: Mask
     z: Array
-    before: tuple[tuple[Array, Array], ...]
-    factors: tuple[BandFactor, ...]
+    bands: tuple[Array, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,10 +123,7 @@ class LawRollout:
         self._guess = np.stack(
             [np.interp(self._grid, self._time, column) for column in log.position.T], axis=1
         )
-        self._commands, self._added = (
-            _integral(self._time, values, held=log.commands.held)
-            for values in (log.commands.command, log.commands.feedforward)
-        )
+        self._commands = log.commands.curve(self._time).antiderivative()
         slopes = inverse_dynamics_slopes(links, *self._smooth())
         self.trees = _components(slopes[2])
         self._slopes = self._blocks(slopes)
@@ -135,24 +133,25 @@ class LawRollout:
     @np.errstate(over="ignore", invalid="ignore")
     def run(self, drives: DriveNumbers, start: Array, guess: Array | None = None) -> SolvedMotion:
         """Solve the motion from a start (2, n); `guess` are positions (K + 1, n) to begin at."""
-        h, n = STEP, len(drives.middle)
-        q = (self._guess if guess is None else guess).copy()
+        h = STEP
+        # The two positions before the first step are unknowns, too, whose equations hold.
+        place = start[0] - h * start[1]
+        q = np.vstack([place, start[0], (self._guess if guess is None else guess)[1:]])
         command, feedforward = self.commands(drives.delay)
         armature, damping, kp, kd = (drives[k] for k in ("armature", "damping", "kp", "kd"))
         limit = self.log.commands.limit
         weight = 1.0 / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
         stiff = _STIFFNESS * weight
-        mobility = np.empty((self.count, n))
-        trees, size, size_before = self._trees(self._slopes, drives, mobility), np.inf, np.inf
+        size = size_before = np.inf
+        trees, mobility = self._trees(self._slopes, drives)
         for number in range(_ROUNDS):
-            q[0] = start[0]
-            v = np.diff(q, axis=0, prepend=(start[0] - h * start[1])[None]) / h
+            v = np.diff(q, axis=0) / h
             a = np.diff(v, axis=0) / h
-            here, speed = q[:-1], v[:-1]
+            here, speed = q[1:-1], v[:-1]
             if size > size_before or number == _ROUNDS // 2:
                 # Far from the measured motion its slopes lead astray: those of the motion itself.
-                own = self._blocks(inverse_dynamics_slopes(self.links, here, speed, a))
-                trees = self._trees(own, drives, mobility)
+                slopes = inverse_dynamics_slopes(self.links, here, speed, a)
+                trees, mobility = self._trees(self._blocks(slopes), drives)
             error = command - here
             effort = kp * error - kd * speed + feedforward
             free = np.abs(effort) <= limit
@@ -174,22 +173,21 @@ class LawRollout:
             leaning = side * (level > 0.0) * (drives["slope"] + 2.0 * z * drives["curve"])
             by_speed = (hold * _RATE + free * kd) / h
             by_place = leaning + free * kp + by_speed
-            factors, earlier = [], []
-            move = np.empty_like(rest)
-            for joints, later, now, before, undamped in trees:
-                held = hold[:, joints, None] / h**2 * undamped
-                now, before = now - 2.0 * held, before + held
-                diagonals(now)[...] += by_place[:, joints]
-                diagonals(before)[...] -= by_speed[:, joints]
-                factors.append(BandFactor.of(later + held, now, before))
-                earlier.append((now[0], before[:2]))
-                move[:, joints] = factors[-1].solve(wrong[:, joints])
-            q[1:] += move
+            bands, move = [], np.zeros_like(q)
+            for joints, blocks, undamped in trees:
+                held, own = hold[:, joints, None] / h**2 * undamped, blocks.copy()
+                own[:, 2:] += held * np.array([1.0, -2.0, 1.0])[:, None, None, None]
+                now, before = np.einsum("bkii->bki", own[1:, 2:])
+                now += by_place[:, joints]
+                before -= by_speed[:, joints]
+                bands.append(banded(own))
+                move[:, joints] = solve_steps(bands[-1], np.pad(wrong[:, joints], ((2, 0), (0, 0))))
+            q += move
             size_before, size = size, float(np.abs(move).max())
-            if size < _SETTLED or not np.isfinite(size):
+            if size < _SETTLED or not size < _LOST:
                 break
         return SolvedMotion(
-            position=q,
+            position=q[1:],
             converged=size < _SETTLED,
             velocity=v,
             acceleration=a,
@@ -197,8 +195,7 @@ class LawRollout:
             side=side * (level > 0.0),
             free=free,
             z=z,
-            before=tuple(earlier),
-            factors=tuple(factors),
+            bands=tuple(bands),
         )
 
     @np.errstate(over="ignore", invalid="ignore")
@@ -247,50 +244,44 @@ class LawRollout:
             "kd": v[:-1] * motion.free,
         }
         lag = self._command_rate(drives.delay) * drives["kp"] * motion.free
-        found = []
-        for joints, factor, (now, before) in zip(
-            self.trees, motion.factors, motion.before, strict=True
-        ):
-            m = len(joints)
-            width = (len(rows) + 2) * m + delay
-            push, first = np.zeros((len(z), m, width)), np.zeros((m, width))
-            own = np.arange(m)
-            for k, name in enumerate(rows):
-                push[:, own, k * m + own] = pushes[name][:, joints]
-            k = len(rows) * m
+        found, count = [], len(rows)
+        for joints, band in zip(self.trees, motion.bands, strict=True):
+            m, more = len(joints), 0 if regressor is None else 10 * len(joints)
+            own, k = np.arange(m), count * m + delay
+            push = np.zeros((len(z) + 2, m, k + 2 * m + more))
+            # First the equations of the two positions before the first step.
+            push[:2, own, k + own] = -1.0
+            push[0, own, k + m + own] = STEP
+            for i, name in enumerate(rows):
+                push[2:, own, i * m + own] = pushes[name][:, joints]
             if delay:
-                push[:, :, k] = -lag[:, joints]
-                k += 1
-            push[0, :, k : k + m] = now + before[0]
-            push[1, :, k : k + m] = before[1]
-            push[0, :, k + m :] = -STEP * before[0]
-            first[own, k + own] = 1.0
+                push[2:, :, k - 1] = -lag[:, joints]
             if regressor is not None:
                 places = (10 * joints[:, None] + np.arange(10)).ravel()
-                push = np.concatenate([push, regressor[:, joints[:, None], places]], axis=2)
-                first = np.concatenate([first, np.zeros((m, 10 * m))], axis=1)
-            moved = np.concatenate([first[None], factor.solve(-push)])
-            found.append((joints, self._at_stamps(moved)))
+                push[2:, :, k + 2 * m :] = regressor[:, joints[:, None], places]
+            found.append((joints, self._at_stamps(solve_steps(band, -push)[1:])))
         return found
 
     def _trees(
-        self, slopes: Sequence[tuple[Array, ...]], drives: DriveNumbers, mobility: Array
-    ) -> list[tuple[Indices, Array, Array, Array, Array]]:
-        """Return each tree's part of the equations, and write joints' mobility (K, n).
+        self, slopes: Sequence[tuple[Array, ...]], drives: DriveNumbers
+    ) -> tuple[list[tuple[Indices, Array, Array]], Array]:
+        """Return each tree's part of the equations, and joints' mobility (K, n).
 
-        Of each tree its joints, the blocks of steps k, k − 1 and k − 2 that no state of friction
-        changes, and what acts within a step beside friction.
+        Of each tree its joints, the blocks (3, K + 2, m, m) that multiply positions after a step,
+        before it and one earlier without friction, and what acts within a step beside friction.
         """
-        h, trees = STEP, []
+        h, trees, mobility = STEP, [], np.empty((self.count, len(drives.middle)))
         for joints, (by_position, by_velocity, masses) in zip(self.trees, slopes, strict=True):
             E, damping = np.eye(len(joints)), drives["damping"][joints]
             masses = masses + E * drives["armature"][joints]
             mobility[:, joints] = diagonals(np.linalg.inv(masses + h * damping * E))
             undamped = E + h * np.linalg.inv(masses) * damping
-            later = masses / h**2 + E * damping / h
-            before = masses / h**2 - by_velocity / h
-            trees.append((joints, later, by_position - later - before, before, undamped))
-        return trees
+            blocks = np.zeros((3, self.count + 2, *E.shape))
+            blocks[0], blocks[2, 2:] = E, masses / h**2 - by_velocity / h
+            blocks[0, 2:] = masses / h**2 + E * damping / h
+            blocks[1, 2:] = by_position - blocks[0, 2:] - blocks[2, 2:]
+            trees.append((joints, blocks, undamped))
+        return trees, mobility
 
     def _blocks(self, slopes: tuple[Array, ...]) -> list[tuple[Array, ...]]:
         """Return slopes by position and by velocity, and masses, of each tree of joints."""
@@ -312,20 +303,16 @@ class LawRollout:
 
     def commands(self, delay: float) -> tuple[Array, Array]:
         """Return means of commands and of added efforts over each step."""
-        edges = self._edges(delay)
-        command, added = (np.diff(at(edges), axis=0) for at in (self._commands, self._added))
-        return command / STEP, added / STEP
-
-    def _command_rate(self, delay: float) -> Array:
-        """Return how means of commands change, over as long as the steps: held ones jump."""
-        edges, h = self._edges(delay), 0.25 * STEP
-        parts = [np.diff(self._commands(edges + x), axis=0) / STEP for x in (-h, h)]
-        return (parts[0] - parts[1]) / (2.0 * h)
-
-    def _edges(self, delay: float) -> Array:
         # Simulators hold the command at the start of a step: the mean about that instant, since a
         # fit needs something smooth in the delay.
-        return np.asarray(self._grid - delay - 0.5 * STEP)
+        ends = self._commands(self._grid - delay - 0.5 * STEP)
+        command, added = np.split(np.diff(ends, axis=0) / STEP, 2, axis=1)
+        return command, added
+
+    def _command_rate(self, delay: float) -> Array:
+        """Return how means of commands change with the delay, over half a step: held ones jump."""
+        h = 0.25 * STEP
+        return (self.commands(delay + h)[0] - self.commands(delay - h)[0]) / (2.0 * h)
 
     def _smooth(self) -> tuple[Array, Array, Array]:
         """Return smooth positions, velocities and accelerations, (K, n) each."""
@@ -355,38 +342,25 @@ def diagonals(blocks: Any) -> Array:
 Blocks = list[tuple[Indices, Array]]
 
 
-@dataclass(frozen=True, eq=False)
-class BandFactor:
-    """LU factor of the equations of one tree of m joints, in LAPACK's band storage."""
+def banded(blocks: Array) -> Array:
+    """Return blocks (3, K, m, m) on and below the diagonal, nearest first, in LAPACK's storage."""
+    K, m = blocks.shape[1:3]
+    band = np.zeros((7 * m - 2, K * m))
+    for shift, own in enumerate(blocks):
+        for i in range(m):
+            for j in range(m):
+                row = 4 * m - 2 + i - j + shift * m
+                band[row, j : (K - shift) * m : m] = own[shift:, i, j]
+    return band
 
-    lu: Array
-    pivots: Array
-    below: int
-    above: int
 
-    @classmethod
-    def of(cls, later: Array, now: Array, before: Array) -> BandFactor:
-        """Factor the blocks (K, m, m) on and below the diagonal: those of steps k, k − 1, k − 2."""
-        from scipy.linalg.lapack import dgbtrf
+def solve_steps(band: Array, values: Array) -> Array:
+    """Solve the `banded` equations of m joints for right sides (K, m, …)."""
+    from scipy.linalg.lapack import dgbsv
 
-        K, m, _ = now.shape
-        below, above = 3 * m - 1, m - 1
-        band = np.zeros((2 * below + above + 1, K * m))
-        for shift, blocks in enumerate((later, now, before)):
-            for i in range(m):
-                for j in range(m):
-                    row = below + above + i - j + shift * m
-                    band[row, j : (K - shift) * m : m] = blocks[shift:, i, j]
-        lu, pivots, _ = dgbtrf(band, below, above, overwrite_ab=1)
-        return cls(lu, pivots, below, above)
-
-    def solve(self, values: Array) -> Array:
-        """Solve for right sides (K, m, ...)."""
-        from scipy.linalg.lapack import dgbtrs
-
-        flat = values.reshape(values.shape[0] * values.shape[1], -1)
-        found, _ = dgbtrs(self.lu, self.below, self.above, flat, self.pivots)
-        return np.asarray(found.reshape(values.shape))
+    m = values.shape[1]
+    flat = values.reshape(len(values) * m, -1)
+    return np.asarray(dgbsv(3 * m - 1, m - 1, band, flat)[2].reshape(values.shape))
 
 
 def _components(masses: Array) -> tuple[Indices, ...]:
@@ -395,21 +369,3 @@ def _components(masses: Array) -> tuple[Indices, ...]:
 
     count, label = connected_components(np.abs(masses).max(axis=0) > 0.0, directed=False)
     return tuple(np.flatnonzero(label == k) for k in range(count))
-
-
-def _integral(time: Array, values: Array, *, held: bool) -> Callable[[Array], Array]:
-    """Return the integral of a held or piecewise linear signal (N, n) as a function of time."""
-    mean = values[:-1] if held else 0.5 * (values[:-1] + values[1:])
-    total = np.concatenate(
-        [np.zeros((1, values.shape[1])), np.cumsum(mean * np.diff(time)[:, None], 0)]
-    )
-
-    def at(when: Array) -> Array:
-        row = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(time) - 2)
-        inside = np.clip(when, time[0], time[-1])
-        x = (inside - time[row])[:, None]
-        rise = 0.0 if held else (values[row + 1] - values[row]) / np.diff(time)[row, None]
-        outside = np.where(when < time[0], values[:1].T, values[-1:].T).T * (when - inside)[:, None]
-        return np.asarray(total[row] + x * (values[row] + 0.5 * x * rise) + outside)
-
-    return at

@@ -86,16 +86,20 @@ class DriveCommands:
         limit = np.full(log.n, np.inf if law.limit is None else law.limit)
         return cls(command=command, feedforward=added, limit=limit, held=held, note=note)
 
+    def curve(self, time: Array) -> Any:
+        """Return commands and added efforts (…, 2·n) as polynomials between stamps (N,)."""
+        from scipy.interpolate import PPoly
+
+        values = np.hstack([self.command, self.feedforward])
+        rise = np.diff(values, axis=0) / np.diff(time)[:, None] * (not self.held)
+        # Constant before the first stamp and after the last.
+        pieces = np.stack([np.pad(rise, ((1, 1), (0, 0))), np.vstack([values[:1], values])])
+        return PPoly(pieces, np.concatenate([time[:1] - 1.0, time, time[-1:] + 1.0]))
+
     def at(self, time: Array, delay: float, asked: Array | None = None) -> tuple[Array, Array]:
         """Return commands and added efforts that act at the time stamps, or when it is asked."""
-        when = (time if asked is None else asked) - delay
-        if self.held:
-            row = np.clip(np.searchsorted(time, when + 1e-9, side="right") - 1, 0, len(time) - 1)
-            return self.command[row], self.feedforward[row]
-        command, added = (
-            np.stack([np.interp(when, time, column) for column in each.T], axis=1)
-            for each in (self.command, self.feedforward)
-        )
+        when = (time if asked is None else asked) - delay + 1e-9 * self.held
+        command, added = np.split(self.curve(time)(when), 2, axis=1)
         return command, added
 
 
@@ -119,10 +123,8 @@ def with_efforts_of_law(log: Recording, law: PD, delay: float) -> Recording:
     commands = DriveCommands.of(log, law)
     command, added = commands.at(np.array(log.time), delay)
     position = np.array(log.position)
-    velocity = log.velocity
-    if velocity is None:
-        velocity = np.gradient(position, np.array(log.time), axis=0)
-    gains = law.gains
+    rates = np.gradient(position, np.array(log.time), axis=0)
+    gains, velocity = law.gains, rates if log.velocity is None else log.velocity
     effort = gains.proportional * (command - position) - gains.derivative * velocity + added
     effort = np.clip(effort, -commands.limit, commands.limit)
     return replace(log, effort=effort, currents=False, gains=None)
