@@ -197,10 +197,10 @@ def solve_log_cholesky(
     Returns
     -------
     Estimate
-        With status ``"optimal"`` when the point is feasible and, recomputed in physical
-        variables, stationary; otherwise ``"iteration limit"``, ``"stalled"``, or ``"infeasible"``
-        where a parameter exceeds ``theta_max``, which the coordinates cannot express. How far
-        from the global optimum a result is, `certify` tells.
+        With status ``"optimal"`` when the point is feasible and its cost at most 1e-4 above what is
+        proven of all feasible parameters; otherwise ``"iteration limit"``, ``"stalled"``, or
+        ``"infeasible"`` where a parameter exceeds ``theta_max``, which the coordinates cannot
+        express. How far from the global optimum a result is, `certify` tells.
 
     Raises
     ------

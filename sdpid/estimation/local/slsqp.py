@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate, Status
 from sdpid.estimation.local.physical import PhysicalConstraints, PhysicalVariables
-from sdpid.estimation.local.run import UNCONSTRAINED, LocalRun, preconditioner
+from sdpid.estimation.local.run import UNCONSTRAINED, LocalRun
 from sdpid.estimation.problem import Problem
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import matrix_basis
@@ -72,9 +73,10 @@ def solve_slsqp(
     Returns
     -------
     Estimate
-        With status ``"optimal"`` when the point is feasible and, recomputed, stationary, whatever
-        SLSQP says of it; otherwise ``"infeasible"``, ``"iteration limit"``, ``"stalled"`` or
-        ``"failed"``. How far from the global optimum a result is, `certify` tells.
+        With status ``"optimal"`` when the point is feasible and its cost at most 1e-4 above what is
+        proven of all feasible parameters, whatever SLSQP says of it; otherwise ``"infeasible"``,
+        ``"iteration limit"``, ``"stalled"`` or ``"failed"``. How far from the global optimum a
+        result is, `certify` tells.
 
     Raises
     ------
@@ -167,7 +169,7 @@ class _SlsqpRun(LocalRun):
         from scipy.optimize import minimize
 
         constraints, J = self.constraints, self.variables.jacobian(x)
-        steps = preconditioner(self.problem, self.theta(x), J, _FLATTEST) / self.scale
+        steps = _preconditioner(self.problem, self.theta(x), J) / self.scale
 
         def at(z: Array) -> Array:
             return np.asarray(x + steps @ z)
@@ -197,3 +199,16 @@ class _SlsqpRun(LocalRun):
         )
         end = at(result.x)
         return result, self.variables.within(end) if np.all(np.isfinite(end)) else x
+
+
+def _preconditioner(problem: Problem, theta: Array, jacobian: Array) -> Array:
+    """Return H^(-1/2) of the cost's Gauss–Newton matrix H at theta, shape (count, count)."""
+    G = problem.squared.matrix @ jacobian
+    H = 2.0 * G.T @ G
+    # A log-det prior only has curvature inside of what can exist.
+    with suppress(DataError):
+        rows = problem.log_det.curvature_rows(theta) @ jacobian
+        H = H + 2.0 * rows.T @ rows
+    values, vectors = np.linalg.eigh(H)
+    values = np.maximum(values, _FLATTEST * values[-1])
+    return np.asarray((vectors / np.sqrt(values)) @ vectors.T)

@@ -94,6 +94,12 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     >>> round(estimate.named()["Fv1"])
     151
     """
+    found, bound = proven_optimum(problem, verbose=verbose)
+    return settled(found, bound.value)
+
+
+def proven_optimum(problem: Problem, *, verbose: bool = False) -> tuple[Estimate, Bound]:
+    """Return an optimum, any point of the optimal face, and its proof; see `solve_sdp`."""
     try:
         problem.feasible.require_feasible()
     except InfeasibleError as error:
@@ -106,8 +112,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
         search.try_once(regularization, warm_started, weight)
         if search.proven:
             break
-    found, bound = search.result()
-    return settled(found, bound.value)
+    return search.result()
 
 
 @dataclass(eq=False)
