@@ -15,7 +15,8 @@ from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement
 from sdpid.estimation.agreement.compare import compare_estimates
-from sdpid.estimation.duality.bound import Multipliers
+from sdpid.estimation.duality.bound import Bound, Multipliers
+from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
@@ -230,6 +231,17 @@ class Estimate(Shown):
             return Multipliers.at(self.problem, np.array(self.theta))
         y = self.problem.A @ self.base - self.problem.rhs
         return Multipliers.of_cost(self.problem, y)
+
+    def bound(self, *, exhaustive: bool = False) -> Bound:
+        """Return what `proof` proves of the cost of all feasible parameters.
+
+        Parameters
+        ----------
+        exhaustive : bool, optional
+            Refine the multipliers as far as they go.
+        """
+        theta = None if self.theta is None else np.array(self.theta)
+        return lower_bound(self.problem, theta, self.proof, self.cost, exhaustive=exhaustive)
 
     def to_frame(self, parameters: Literal["base", "standard"] = "base") -> Any:
         """Return parameters as a pandas DataFrame, one row each.

@@ -381,7 +381,6 @@ MARGINS = (0.0, 0.01)
 
 # Rounding of costs, as a share of the squared efforts.
 ROUNDING = 1e-10
-ITERATIONS = 300
 
 
 def conditions_of(problem: Problem, kind: str) -> tuple[of.Condition, ...]:
@@ -422,11 +421,10 @@ def test_nothing_ends_above_the_optimum_unexplained(
     best = solved(name, consistency, margin, kind)
     problem = best.problem
     solve = solve_log_cholesky if what == "log_cholesky" else solve_slsqp
-    local = solve(problem, seed=seed, max_iterations=ITERATIONS)
+    local = solve(problem, seed=seed, max_iterations=300)
     event(f"{what}: {local.status}")
-    theta = np.asarray(local.theta)
     excess = local.cost - best.cost
-    if problem.feasible.violation(theta) > FEASIBLE_LOCAL:
+    if problem.feasible.violation(np.asarray(local.theta)) > FEASIBLE_LOCAL:
         return
     rounding = ROUNDING * float(problem.squared.rhs @ problem.squared.rhs + problem.floor)
     scale = max(local.cost, cost_scale(problem))

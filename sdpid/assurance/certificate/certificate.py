@@ -29,7 +29,6 @@ from sdpid.assurance.certificate.rounding import (
 from sdpid.assurance.certificate.rows_digest import rows_digest
 from sdpid.errors import CertificateError
 from sdpid.estimation.duality.bound import Bound, evaluate, relative_gap
-from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.verifier import certificate as checker
@@ -336,8 +335,7 @@ def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Cer
     if isinstance(bound, Estimate):
         if bound.problem is not estimate.problem:
             raise CertificateError("certify: the bound's estimate is of another problem.")
-        theta = None if bound.theta is None else np.array(bound.theta)
-        bound = lower_bound(bound.problem, theta, bound.proof, bound.cost)
+        bound = bound.bound()
     value = evaluate(estimate.problem, bound.multipliers)
     if value != bound.value:
         raise CertificateError(

@@ -15,7 +15,6 @@ from itertools import product
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
-from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_rows
 from sdpid.estimation.positions.drives import ROW, DriveNumbers, Unknowns
@@ -175,8 +174,7 @@ class JointNormal:
         found, _ = self.step(theta, held=held)
         if found.theta is None:
             return None
-        bound = lower_bound(found.problem, np.array(found.theta), found.proof, found.cost)
-        gained = found.problem.cost_of(theta) - bound.value
+        gained = found.problem.cost_of(theta) - found.bound().value
         return max(gained / self.cost(theta, self.fit.cost), 0.0)
 
     def covariance(self, estimate: Estimate, held: bool) -> tuple[Array, Array]:

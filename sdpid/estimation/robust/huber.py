@@ -40,7 +40,6 @@ from sdpid.estimation.compression.rows import CHUNK
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import weights as powers_of
 from sdpid.estimation.compression.whitening import weights_and_shares, whitened_chunks
-from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import information_root, least_squares
 from sdpid.estimation.problem import Problem
@@ -267,9 +266,7 @@ class HuberLoss:
             Of a problem that `majorized` made. What proves its optimum, with the multiplier y of
             the compressed residual, proves this: u with W^T u = A^T y takes the place of y.
         """
-        problem = estimate.problem
-        theta = None if estimate.theta is None else np.array(estimate.theta)
-        proven = lower_bound(problem, theta, estimate.proof, estimate.cost)
+        problem, proven = estimate.problem, estimate.bound()
         y = proven.multipliers.y[: problem.base.count]
         target = problem.A.T @ y
         u = self._multipliers(problem, y, target)

@@ -12,7 +12,6 @@ from sdpid.errors import InfeasibleError, SolverError
 from sdpid.estimation.conic.solve import ConicSolution, solve_conic
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.duality.bound import PROVEN, Bound, best_of, relative_gap
-from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
@@ -202,7 +201,7 @@ class Attempts:
             message=self.status,
             multipliers=program.multipliers(solution, theta),
         )
-        bound = _bound(estimate, exhaustive=PROVEN < self.gap < _NEARLY)
+        bound = estimate.bound(exhaustive=PROVEN < self.gap < _NEARLY)
         best, proof = (estimate, bound) if self.found is None else self.found
         # Feasible where the other is not, or cheaper where both or none are.
         best = min(best, estimate, key=lambda each: (not each.feasible, each.cost))
@@ -224,7 +223,7 @@ class Attempts:
         if self.found is not None:
             best, bound = self.found
             if self.gap > PROVEN:
-                bound = best_of(bound, _bound(best, exhaustive=True))
+                bound = best_of(bound, best.bound(exhaustive=True))
             best = replace(
                 best,
                 multipliers=bound.multipliers,
@@ -245,12 +244,6 @@ class Attempts:
             problem=self.problem,
             found=best,
         )
-
-
-def _bound(estimate: Estimate, *, exhaustive: bool) -> Bound:
-    """Return the bound that an estimate's multipliers prove."""
-    theta, proof = np.array(estimate.theta), estimate.proof
-    return lower_bound(estimate.problem, theta, proof, estimate.cost, exhaustive=exhaustive)
 
 
 def _described(problem: Problem, scaling: Scaling) -> Array:
