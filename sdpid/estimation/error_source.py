@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid.estimation.information import freedom_of
 from sdpid.experiment.drive_gains.gains import DriveGains
 
 
@@ -59,7 +60,4 @@ class ErrorSource:
 
     def degrees(self, slopes: Array) -> Array:
         """Return degrees of freedom of these variances (m,): those of the errors that decide."""
-        own = slopes**2 * np.diag(self.covariance)
-        total, spread = own.sum(axis=1), (own**2 / self.freedom).sum(axis=1)
-        out = np.full(len(own), np.inf)
-        return np.asarray(np.divide(total**2, spread, out=out, where=spread > 0.0))
+        return freedom_of(slopes**2 * np.diag(self.covariance), self.freedom)

@@ -119,6 +119,25 @@ def fitted(X: Array, y: Array) -> tuple[Array, int]:
     return np.asarray(found / scale), int(rank)
 
 
+def freedom_of(parts: Array, freedom: Array) -> Array:
+    """Return degrees of freedom of sums of independent variances, by Satterthwaite's formula.
+
+    Parameters
+    ----------
+    parts : ndarray, shape (m, k)
+        Variances that make up each of m sums.
+    freedom : ndarray, shape (k,) or (m, k)
+        Degrees of freedom of each.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Infinite where the variances are known, or zero.
+    """
+    spread, out = (parts**2 / freedom).sum(axis=1), np.full(len(parts), np.inf)
+    return np.asarray(np.divide(parts.sum(axis=1) ** 2, spread, out=out, where=spread > 0.0))
+
+
 def information_rows(H: Array) -> Array:
     """Return X (b, b) with ``X^T·X = H``, of an information of which no rows are left.
 

@@ -36,7 +36,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import apply, weights_and_shares
 from sdpid.estimation.effects.bending import Bending
-from sdpid.estimation.information import information_root, least_squares
+from sdpid.estimation.information import freedom_of, information_root, least_squares
 from sdpid.estimation.problem import Problem
 
 # Half an octave a band: spectra of filtered noise and of what a model lacks bend no faster.
@@ -216,10 +216,9 @@ class NoiseSpectrum:
         """Return the degrees of freedom of variances along directions (k, r) of `root`."""
         moved = self.whole_root @ directions.T
         parts = np.array([np.sum((R[:, :-1] @ moved[own]) ** 2, axis=0) for own, R in self.groups])
-        parts = parts.T * self.density
-        total = parts.sum(axis=1)
-        spread = np.maximum((parts**2 / self.room).sum(axis=1), np.finfo(float).tiny)
-        return np.asarray(np.maximum(total**2 / spread, 1.0))
+        found = freedom_of(parts.T * self.density, self.room)
+        # Where nothing moves nothing is known.
+        return np.where(np.isfinite(found), np.maximum(found, 1.0), 1.0)
 
 
 def _stacked(bands: Iterable[Band]) -> Band:

@@ -263,10 +263,11 @@ def _strongest(problem: Problem, bodies: Array) -> list[Array]:
 
     What friction terms have of the base parameters stays theirs: rotors are no links.
     """
+    from scipy.linalg import null_space
+
     robot, scaling = problem.robot, Scaling.of(problem)
     basis = scaling.basis()[: bodies.size, : bodies.size]
-    _, singular, rows = np.linalg.svd(problem.base.matrix[:, : bodies.size] @ basis)
-    null = basis @ rows[np.count_nonzero(singular > _NULL * singular[0]) :].T
+    null = basis @ null_space(problem.base.matrix[:, : bodies.size] @ basis, rcond=_NULL)
     count = null.shape[1]
     # Of a joint between two links, |a − b|² ≤ 2·|a|² + 2·|b|²: this leaves one small matrix
     # inequality a link instead of a large one, and its optimum is within a factor of two.

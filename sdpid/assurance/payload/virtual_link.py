@@ -31,6 +31,7 @@ from sdpid.estimation.constraints.condition import Condition, Layout, Row
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.error_source import ErrorSource
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.information import freedom_of
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.posterior import FitErrors, Posterior, gain_errors, rows_covariance
 from sdpid.estimation.prior.cost_terms import SquaredTerm
@@ -207,14 +208,11 @@ def _joined(parts: Sequence[FitErrors]) -> FitErrors:
     """Return independent errors together; their degrees of freedom are by Welch's formula."""
 
     def freedom(directions: Array) -> Array:
-        total, spread = np.zeros((2, len(directions)))
-        for each in parts:
-            own = directions @ each.root
-            variance = np.einsum("ki,ij,kj->k", own, each.scores, own)
-            total += variance
-            spread += variance**2 / each.freedom(own)
-        out = np.full(len(directions), np.inf)
-        return np.asarray(np.divide(total**2, spread, out=out, where=spread > 0.0))
+        own = [directions @ each.root for each in parts]
+        pairs = list(zip(parts, own, strict=True))
+        variances = [np.einsum("ki,ij,kj->k", x, each.scores, x) for each, x in pairs]
+        freedoms = [each.freedom(x) for each, x in pairs]
+        return freedom_of(np.transpose(variances), np.transpose(freedoms))
 
     scores = np.sum([each.root @ each.scores @ each.root.T for each in parts], axis=0)
     return FitErrors(np.eye(len(scores)), scores, freedom)

@@ -79,13 +79,18 @@ class PhysicalVariables:
         margin and their sum is zz: a sphere's second moments zz/2 in all directions.
     bounded, bounded_theta : ndarray of int
         Masses and friction, among all variables and in theta.
+    tensors : ndarray, shape (6, 3, 3)
+        How what must exceed the margin follows from a link's inertia: that itself, about the center
+        of mass, or for the 4×4 inequality the second moments.
     """
 
     def __init__(self, problem: Problem) -> None:
         scaling, links = Scaling.of(problem), 10 * problem.robot.n_links
         moment = scaling.mass * scaling.length**2
         each = np.array([moment] * 6 + [scaling.length] * 3 + [scaling.mass])
-        self.problem = problem
+        self.problem, self.tensors = problem, _TENSOR_BASIS
+        if problem.consistency == "pseudo_inertia":
+            self.tensors = second_moment_from_inertia(_TENSOR_BASIS)
         self.sizes = np.concatenate([np.tile(each, problem.robot.n_links), scaling.friction])
         friction = np.arange(links, problem.n_theta)
         self.bounded = np.concatenate([np.arange(9, links, 10), friction])
@@ -139,16 +144,9 @@ class PhysicalVariables:
         return np.asarray((full / self.sizes)[self.free])
 
     def above_margin(self, x: Array) -> Array:
-        """Return what must exceed the margin, (links, 3, 3).
-
-        That is the inertia about the center of mass, or for the 4×4 inequality the second moments.
-        """
-        return self.bounded_by_margin(self._links(x)[2])
-
-    def bounded_by_margin(self, inertias: Array) -> Array:
-        """Return inertias about centers of mass (…, 3, 3) as what must exceed the margin."""
-        of_moments = self.problem.consistency == "pseudo_inertia"
-        return second_moment_from_inertia(inertias) if of_moments else inertias
+        """Return what must exceed the margin, (links, 3, 3)."""
+        bodies = self.problem.feasible.bodies(self.spread @ x)
+        return np.tensordot(bodies[:, :6], self.tensors, 1)
 
 
 def _reducible_axis(problem: Problem) -> int | None:
@@ -241,8 +239,7 @@ class PhysicalConstraints:
 
         N is what must exceed the margin; scaled.
         """
-        basis = self.variables.bounded_by_margin(_TENSOR_BASIS)
-        slopes = np.einsum("lia,kij,lja->lak", vectors, basis, vectors)
+        slopes = np.einsum("lia,kij,lja->lak", vectors, self.variables.tensors, vectors)
         links = np.repeat(np.arange(len(vectors)), vectors.shape[2])
         full = self._of_links(slopes.reshape(-1, 6), links)
         return np.asarray(full @ self.variables.spread / self.moment)

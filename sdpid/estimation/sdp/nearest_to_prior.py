@@ -142,6 +142,8 @@ def nearer_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array | Non
     seconds : float
         In the solver, of this attempt.
     """
+    from scipy.linalg import null_space
+
     feasible = problem.feasible
     links = 10 * feasible.n_links
     reference = Scaling.of(problem)
@@ -150,9 +152,7 @@ def nearer_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array | Non
     equations = feasible.rows[feasible.equations] @ basis
     sizes = np.linalg.norm(equations, axis=1, keepdims=True)
     equations /= np.where(sizes > 0.0, sizes, 1.0)
-    _, singular, rows = np.linalg.svd(np.vstack([problem.base.matrix @ basis, equations]))
-    rank = int(np.count_nonzero(singular > _NULL * singular[0]))
-    null = basis @ rows[rank:].T
+    null = basis @ null_space(np.vstack([problem.base.matrix @ basis, equations]), rcond=_NULL)
     if null.shape[1] == 0:
         yield theta, 0.0
         return
