@@ -14,6 +14,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.condition import Condition, Layout, Row
 from sdpid.estimation.constraints.equalities import MirrorPair, unit_normal
 from sdpid.robot.model.geometry import link_placements, neutral
+from sdpid.robot.model.jacobians import link_jacobians
 from sdpid.robot.model.model import RobotModel
 
 # Descriptions are written with four digits or more; another joint's zero is off by much more.
@@ -26,10 +27,6 @@ _SIDES |= {f"{leg}l": f"{leg}r" for leg in "fhrbm"} | {f"l{leg}": f"r{leg}" for 
 
 # What friction forward of one joint is of its mirror image where that turns the other way.
 _TURNED = {"Fsp": "Fsn", "Fsn": "Fsp"}
-
-# A joint is turned by this, rad or m, to see its axis: far above rounding, and its square below
-# what descriptions are rounded to.
-_STEP = 1e-4
 
 
 def mirror_pairs(
@@ -320,10 +317,8 @@ def _rates(
     robot: RobotModel, placements: Array, position: ArrayLike | None, joint: str
 ) -> tuple[Array, Array]:
     """Return how a joint turns and how it moves its link, (3,) each in the base frame."""
-    moved = np.array(neutral(robot) if position is None else position, dtype=np.float64)
-    moved[robot.joint_names.index(joint) - robot.n] += _STEP
-    link = _link(robot, joint)
-    before, after = placements[link], link_placements(robot, moved)[link]
-    skew = after[:3, :3] @ before[:3, :3].T
-    turn = np.array([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]])
-    return 0.5 * turn / _STEP, (after[:3, 3] - before[:3, 3]) / _STEP
+    link, j = _link(robot, joint), robot.joint_names.index(joint)
+    beside = neutral(robot) if position is None else np.asarray(position, dtype=np.float64)
+    rates = link_jacobians(robot, beside[None, len(beside) - robot.n + robot.n_base :])
+    turn, slide = rates[0, link, :, j].reshape(2, 3) @ placements[link, :3, :3].T
+    return turn, slide

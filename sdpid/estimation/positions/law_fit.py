@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -375,6 +375,10 @@ class FittedDrives(Shown):
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         ends, parts = ("value", "low", "high"), ("value", "deviation", "deviation_of_damping")
+
+        def by_joint(each: Iterable[Any]) -> dict[str, Any]:
+            return dict(zip(self.joint_names, each, strict=True))
+
         return plain_dict(
             {
                 **{name: getattr(self, name) for name in _LISTED},
@@ -387,10 +391,7 @@ class FittedDrives(Shown):
                 "units": UNITS,
                 "middle": self.rich.middle,
                 "drives": {
-                    name: {
-                        joint: dict(zip(UNITS, column, strict=True))
-                        for joint, column in zip(self.joint_names, each.values.T, strict=True)
-                    }
+                    name: by_joint(dict(zip(UNITS, own, strict=True)) for own in each.values.T)
                     for name, each in (("rich", self.rich), ("reduced", self.reduced))
                 },
                 "intervals": {
@@ -398,11 +399,8 @@ class FittedDrives(Shown):
                     for name, each in self.intervals().items()
                 },
                 "covariance": {"names": self.names, "values": self.covariance},
-                "sharp": {
-                    joint: dict(zip(parts, each, strict=True))
-                    for joint, each in self.sharp().items()
-                },
-                "rms_joints": dict(zip(self.joint_names, self.rms_joints, strict=True)),
+                "sharp": by_joint(dict(zip(parts, x, strict=True)) for x in self.sharp().values()),
+                "rms_joints": by_joint(self.rms_joints),
                 "rms_validation": self.validated,
                 "judged": {"+".join(k): x for k, x in self.choice.errors.items()},
             }
