@@ -21,6 +21,7 @@ from sdpid.estimation.effects.kinds import EFFECTS, at_estimate
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem, describe
+from sdpid.estimation.sdp.solve import solved_or_found
 from sdpid.estimation.selection import choose as selection
 from sdpid.estimation.selection.choose import with_effects, with_every_term
 from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
@@ -516,7 +517,7 @@ def test_a_solver_that_fails_costs_the_choice_and_not_the_problem(
     def failing(problem: Problem) -> Estimate:
         raise SolverError("no proof", found=solve_sdp(problem) if found else None)
 
-    monkeypatch.setattr("sdpid.estimation.selection.choose.solve_sdp", failing)
+    monkeypatch.setattr(selection, "solved_or_found", lambda x: solved_or_found(x, failing))
     problem = chosen(logged("tilt"))
     assert names(problem) == ({"tilt"} if found else set())
     assert bool(problem.origin.effects) == found

@@ -379,9 +379,6 @@ def test_what_is_left_out_has_no_influence(problem: Problem, seed: int) -> None:
 ROBOTS = {"planar": planar_arm(), "arm2": small_arm(2), **MODELS}
 MARGINS = (0.0, 0.01)
 
-# Rounding of costs, as a share of the squared efforts.
-ROUNDING = 1e-10
-
 
 def conditions_of(problem: Problem, kind: str) -> tuple[of.Condition, ...]:
     first, last = problem.robot.link_names[0], problem.robot.link_names[-1]
@@ -426,7 +423,8 @@ def test_nothing_ends_above_the_optimum_unexplained(
     excess = local.cost - best.cost
     if problem.feasible.violation(np.asarray(local.theta)) > FEASIBLE_LOCAL:
         return
-    rounding = ROUNDING * float(problem.squared.rhs @ problem.squared.rhs + problem.floor)
+    # As a share of the squared efforts.
+    rounding = 1e-10 * float(problem.squared.rhs @ problem.squared.rhs + problem.floor)
     scale = max(local.cost, cost_scale(problem))
     if local.status == "optimal":
         assert excess <= OPTIMAL * scale * 1.001 + rounding

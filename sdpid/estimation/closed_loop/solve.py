@@ -24,7 +24,7 @@ from sdpid.estimation.closed_loop.rounds import (
 )
 from sdpid.estimation.estimate import FEASIBLE, Estimate, extended
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.sdp.solve import solve_sdp, solved_or_found
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation.prepare import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
@@ -485,7 +485,7 @@ def starting(problem: Problem, start: Any, solver: Solver) -> tuple[RobotDynamic
         When it is no estimate, or its numbers have another shape or are not finite.
     """
     if start is None:
-        found = _solution(problem, solver)
+        found = solved_or_found(problem, solver)
         return found.model(), found
     values = getattr(start, "estimate", start)
     if isinstance(values, (Estimate, RobotDynamics)):
@@ -499,17 +499,6 @@ def starting(problem: Problem, start: Any, solver: Solver) -> tuple[RobotDynamic
         values = model.theta if values.theta is not None else values.base
     found = _nearest_feasible(problem, values, solver)
     return found.model(), found
-
-
-def _solution(problem: Problem, solver: Solver) -> Estimate:
-    """Return a solver's estimate; what it found where it proves no optimum will do for a start."""
-    try:
-        return solver(problem)
-    except SolverError as error:
-        found = error.found
-        if not isinstance(found, Estimate) or not found.feasible:
-            raise
-        return found
 
 
 def _nearest_feasible(problem: Problem, start: Any, solver: Solver) -> Estimate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,6 +113,18 @@ def proven_optimum(problem: Problem, *, verbose: bool = False) -> tuple[Estimate
         if search.proven:
             break
     return search.result()
+
+
+def solved_or_found(
+    problem: Problem, solver: Callable[[Problem], Estimate] = solve_sdp
+) -> Estimate:
+    """Return a solver's estimate, or the feasible one that it found where it proves no optimum."""
+    try:
+        return solver(problem)
+    except SolverError as error:
+        if not isinstance(error.found, Estimate) or not error.found.feasible:
+            raise
+        return error.found
 
 
 @dataclass(eq=False)

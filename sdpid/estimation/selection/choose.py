@@ -25,7 +25,7 @@ from sdpid.estimation.effects.kinds import EFFECTS, Effect, Tried, at_estimate
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior, prior_terms
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.sdp.solve import solved_or_found
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
@@ -136,7 +136,7 @@ def with_effects(
         terms = (*terms, term)
     if not asked:
         return problem
-    final, sizes = _built(problem, given, asked, _solved(problem), rebuild)
+    final, sizes = _built(problem, given, asked, solved_or_found(problem), rebuild)
     told = []
     for effect in asked:
         why = "as asked" if effect.name in names else "with what was asked beside it"
@@ -147,7 +147,7 @@ def with_effects(
 
 def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_Trial]]:
     """Return the trials that were taken, and those of the last rounds, which were not."""
-    terms, estimate = problem.friction.terms, _solved(problem)
+    terms, estimate = problem.friction.terms, solved_or_found(problem)
     taken, left_out = _added(problem, prior, EFFECTS, terms, estimate)
     for effect in EFFECTS:
         if effect.of_joint is None:
@@ -189,7 +189,7 @@ def _added(
             return taken, []
         largest, independent = with_every_term(problem, (*terms, *candidates.values()), prior)
         every = list(candidates.values())
-        before = _solved(without_terms(largest, every))
+        before = solved_or_found(without_terms(largest, every))
         if together is not None:
             whole = replace(together, title=f"{together.title} of all joints")
             most = _tried(whole, every, before, largest, independent)
@@ -267,7 +267,7 @@ def _tried(
     """Solve with the terms of an effect, and compare."""
     from scipy.special import fdtrc
 
-    after = _solved(problem)
+    after = solved_or_found(problem)
     saved = max(before.cost - after.cost, 0.0)
     count = sum(len(term.parameters(problem.friction.joint_names)) for term in terms)
     probability = 1.0
@@ -320,23 +320,12 @@ def _built(
     final = rebuild((*(given if bent else problem.friction.terms), *terms))
     profiled = final.origin.profiled if bent else problem.origin.profiled
     if any(isinstance(term, PosedTerm) for term in terms):
-        found = _solved(final)
+        found = solved_or_found(final)
         final = rebuild(tuple(_at(term, found) for term in final.friction.terms))
     final = final.with_origin(profiled=profiled)
-    found = _solved(final)
+    found = solved_or_found(final)
     sizes = {effect: effect.size(_named(found)) for effect in effects}
     return final, {effect: f" ({words})" if words else "" for effect, words in sizes.items()}
-
-
-def _solved(problem: Problem) -> Estimate:
-    """Return the optimum, or what a solver found that could not prove it: enough to compare."""
-    try:
-        return solve_sdp(problem)
-    except SolverError as error:
-        found: Estimate | None = error.found
-        if found is None or found.theta is None or not found.feasible:
-            raise
-        return found
 
 
 def _at(term: FrictionTerm, estimate: Estimate) -> FrictionTerm:
