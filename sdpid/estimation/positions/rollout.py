@@ -119,10 +119,8 @@ class LawRollout:
         self.links, self.log, self.measured = links, log, log.position
         self._time = log.time - log.time[0]
         self.count = int(np.floor(self._time[-1] / STEP + 1e-9))
-        self._grid = STEP * np.arange(self.count + 1)
-        self._guess = np.stack(
-            [np.interp(self._grid, self._time, column) for column in log.position.T], axis=1
-        )
+        self._grid = STEP * np.arange(self.count + 1.0)
+        self._guess = _line(self._time, log.position, self._grid)
         self._commands = log.commands.curve(self._time).antiderivative()
         slopes = inverse_dynamics_slopes(links, *self._smooth())
         self.trees = _components(slopes[2])
@@ -327,10 +325,14 @@ class LawRollout:
 
     def _at_stamps(self, values: Array) -> Array:
         """Interpolate values (K + 1, ...) on the grid at the log's time stamps."""
-        place = np.clip(self._time / STEP, 0.0, self.count)
-        row = np.minimum(place.astype(np.intp), self.count - 1)
-        share = (place - row).reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray(values[row] * (1.0 - share) + values[row + 1] * share)
+        return _line(self._grid, values, np.minimum(self._time, self._grid[-1]))
+
+
+def _line(time: Array, values: Array, when: Array) -> Array:
+    """Return values (N, …) joined by lines at other times."""
+    from scipy.interpolate import make_interp_spline
+
+    return np.asarray(make_interp_spline(time, values, k=1, check_finite=False)(when))
 
 
 def diagonals(blocks: Any) -> Array:
