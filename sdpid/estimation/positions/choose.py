@@ -151,17 +151,16 @@ def choose_forward(
         "fitted": best.drives.delay,
         "correlation": best.correlation,
     }
-    if delay is not None:
-        return ForwardChoice(delay=delay, open=(delay, delay), **found), best
-    grid = np.linspace(0.0, LONGEST_DELAY, _TRIED)
+    grid = np.linspace(0.0, LONGEST_DELAY, _TRIED if delay is None else 0)
     solved = (SolvedRollouts.of(judges, conditional(best, d)[0], near=judge) for d in grid)
     squares = np.array([judged(each) for each in solved]) ** 2
-    if not np.isfinite(squares).any():
-        # Nothing follows at another delay: that of the fit is all there is.
+    follows = np.isfinite(squares)
+    if not follows.any():
+        # None was tried, or nothing follows at another one: that of the fit is all there is.
         at = best.drives.delay
         return ForwardChoice(delay=at, open=(at, at), **found), best
     # A few delays that no motion follows are as bad as the worst.
-    squares = np.where(np.isfinite(squares), squares, np.nanmax(squares[np.isfinite(squares)]))
+    squares = np.where(follows, squares, squares[follows].max())
     k = int(np.clip(np.argmin(squares), 1, _TRIED - 2))
     bend = np.polynomial.Polynomial.fit(grid[k - 1 : k + 2], squares[k - 1 : k + 2], 2).convert()
     chosen = float(grid[np.argmin(squares)])
