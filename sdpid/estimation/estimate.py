@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.tables import Shown, Table
+from sdpid._common.tables import Table
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement
 from sdpid.estimation.agreement.compare import compare_estimates
 from sdpid.estimation.duality.bound import Bound, Multipliers
 from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.information import require_excitation
-from sdpid.estimation.posterior import Posterior
+from sdpid.estimation.posterior import Estimated, Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -40,7 +40,7 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Estimate(Shown):
+class Estimate(Estimated):
     """Estimated parameters and how they came about.
 
     Attributes
@@ -87,10 +87,6 @@ class Estimate(Shown):
     RobotDynamics('denso_vp6242', 6 coordinates, terms: Coulomb, Viscous)
     """
 
-    problem: Problem
-    method: str
-    base: Array
-    theta: Array | None
     status: Status
     message: str = ""
     iterations: int = 0
@@ -98,7 +94,6 @@ class Estimate(Shown):
     multipliers: Multipliers | None = None
     history: tuple[Step, ...] = field(default=(), repr=False)
     start: Array | None = field(default=None, repr=False)
-    curvature: Array | None = field(default=None, repr=False)
 
     _facts = (
         "problem.robot.name",

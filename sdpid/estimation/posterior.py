@@ -14,13 +14,14 @@ bring an estimate nearer to the truth, all in all: it is not counted, which errs
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
 from sdpid._common.kept import kept
+from sdpid._common.tables import Shown
 from sdpid.errors import SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.compression.covariance import PRINTED
@@ -42,28 +43,15 @@ _OPEN = 1e-12
 _LOST = 1e-7
 
 
-class Estimated(Protocol):
-    """What an estimate says of itself."""
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Estimated(Shown):
+    """What the errors of an estimate rest on; see `sdpid.estimation.estimate.Estimate`."""
 
-    @property
-    def problem(self) -> Problem:
-        """What was solved."""
-
-    @property
-    def method(self) -> str:
-        """How, such as ``"wls"``."""
-
-    @property
-    def base(self) -> Array:
-        """Base parameters, (b,)."""
-
-    @property
-    def theta(self) -> Array | None:
-        """Standard parameters (p,), None where the method has none."""
-
-    @property
-    def curvature(self) -> Array | None:
-        """That of the data's cost where it is not that of squares, (r, r) (see `Estimate`)."""
+    problem: Problem
+    method: str
+    base: Array
+    theta: Array | None
+    curvature: Array | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
