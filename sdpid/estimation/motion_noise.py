@@ -47,6 +47,7 @@ from sdpid.experiment.processing.base import landing_share, unit
 from sdpid.experiment.processing.motion import fourth_differences, noise_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.clock import retimed, told_clock
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import JointwiseTerm
 from sdpid.robot.friction.terms import RotorInertia
@@ -80,6 +81,7 @@ def with_motion_bias(
     logs: Sequence[Recording],
     processing: Processing,
     *,
+    noise_alone: bool = False,
     seed: int | np.random.Generator = 0,
 ) -> Problem:
     """Return a problem that knows how far noise, landings, the filter and friction move its fit.
@@ -94,6 +96,8 @@ def with_motion_bias(
         What its samples were made of.
     processing : Processing
         How. Landings are looked for where any of them was used, what the filter does elsewhere.
+    noise_alone : bool, optional
+        Look for noise, and for nothing else.
     seed : int or numpy.random.Generator, optional
         Of the noise.
 
@@ -115,12 +119,13 @@ def with_motion_bias(
     noisy = _with_and_without(problem.samples, samples)
     fit, bias = _fits(problem, [_of(problem, rows, each) for each in noisy])
     found: dict[str, Array | None] = {"motion": bias}
-    name, others = _others(problem, logs, noisier, noisy, processing)
-    if others:
-        apart, *moved = (_of(problem, rows, each) for each in others)
-        fit_apart, bias_apart = _fits(apart, moved)
-        found[name] = beyond_noise(problem, apart, fit - bias - (fit_apart - bias_apart))
-    found["friction"] = friction_bias(problem, rows)
+    if not noise_alone:
+        name, others = _others(problem, logs, noisier, noisy, processing)
+        if others:
+            apart, *moved = (_of(problem, rows, each) for each in others)
+            fit_apart, bias_apart = _fits(apart, moved)
+            found[name] = beyond_noise(problem, apart, fit - bias - (fit_apart - bias_apart))
+        found["friction"] = friction_bias(problem, rows)
     sources = (ErrorSource.bias(n, each) for n, each in found.items() if each is not None)
     return replace(problem, errors=tuple(sources))
 
@@ -186,8 +191,10 @@ def with_noise(log: Recording, rng: np.random.Generator) -> Recording:
 
     It is as strong as the recording's own, of two estimates the lower one: landings fill the whole
     spectrum of an accelerometer, but little of the time; encoders of coarse steps do not change for
-    most of the time.
+    most of the time. Times that its speeds tell are those of the copy, too.
     """
+    if (clock := told_clock(log)) is not None:
+        log = retimed(log, clock)
 
     def like(signals: Array) -> Array:
         top = noise_of(signals, log.rate_hz)

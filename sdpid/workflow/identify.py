@@ -22,7 +22,7 @@ from sdpid.assurance.recipe.inputs import input_files
 from sdpid.assurance.recipe.recipe import recipe_or_reason
 from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverError
 from sdpid.estimation.closed_loop.bias import BiasTest, check_bias
-from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.compression.covariance import PRINTED, Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.effects.kinds import Effects
 from sdpid.estimation.elasticity.identify import identify_elasticity
@@ -372,13 +372,13 @@ def _solved(
 ) -> Identification:
     """Return the estimate with its proof, errors, intervals and tests.
 
-    Of efforts that a law made nothing is held out, and no bias is tested.
+    Of efforts that a law made nothing is held out, and no bias is looked for.
     """
     findings = prepared.findings + (() if fresh is None else fresh.findings)
     # Gaps and wrapped angles stand in the notes of the samples.
     notes = [str(finding) for finding in findings if finding.kind != "continued"]
     notes += prepared.notes
-    if intervals is not False:
+    if intervals is not False and measured:
         problem, unknown = with_motion_bias_of(problem, prepared)
         notes += unknown
     notes += _of_springs(problem)
@@ -458,14 +458,12 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
 
 
 def with_motion_bias_of(problem: Problem, prepared: Prepared) -> tuple[Problem, list[str]]:
-    """Return a problem that knows its biases by noise in the motion and all else, or why not.
-
-    Robots that are fixed to the ground have a test in place of it (`check_bias`).
-    """
-    if not problem.robot.free_flyer or any(log.stored for log in prepared.logs):
+    """Return a problem that knows its biases, or why not: of a fixed robot that by noise alone."""
+    if problem.weighting in PRINTED or any(log.stored for log in prepared.logs):
         return problem, []
     try:
-        found = with_motion_bias(problem, prepared.logs, prepared.processing)
+        alone = not problem.robot.free_flyer
+        found = with_motion_bias(problem, prepared.logs, prepared.processing, noise_alone=alone)
     except SdpidError as reason:
         return problem, [f"intervals do not count what noise in the motion does: {reason}"]
     landed = landings_used(problem, prepared.logs, prepared.processing)

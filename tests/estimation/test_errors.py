@@ -11,7 +11,7 @@ from scipy.stats import t
 
 import sdpid
 from sdpid import Constraints, Prior, Samples, build_problem, solve_sdp, solve_wls
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, generator
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation import information, motion_noise, noise_spectrum
@@ -28,7 +28,9 @@ from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.prepare import samples_of
+from sdpid.experiment.recording.clock import retimed, told_clock
 from sdpid.robot.friction.terms import SigmoidFriction
+from tests.experiment.test_clock import log as jittering
 from tests.helpers import world
 from tests.helpers.arm import ARM, BODIES, CONDITIONS, THETA, arm_problem
 from tests.helpers.data import FRICTION, make_samples, random_covariance, random_theta, raw_rows
@@ -492,6 +494,40 @@ def test_the_bias_is_what_noise_does_and_intervals_count_it() -> None:
     assert short.noise_in_words() is None
     with pytest.raises(DataError, match="not those of the"):
         with_motion_bias(problem, [recorded(NOISE, 1)], PROCESSING)
+
+
+def test_identify_counts_it_for_a_fixed_arm_where_there_is_any() -> None:
+    options = {"processing": PROCESSING, "friction": (), "effects": "none", "prior": False}
+    noisy, exact = (sdpid.identify(ARM, recorded(each), **options) for each in (NOISE, 0.0))
+    found, problem = noisy.intervals, noisy.problem
+    assert found is not None
+    assert [each.name for each in problem.errors] == ["motion"]
+    assert found.shares["motion"].max() > 0.8
+    assert "noise in the measured motion" in noisy.intervals_note
+    truth = dict(zip(problem.base.names, problem.base_of(BODIES.ravel()), strict=True))
+    told = [name in truth for name in found.names]
+    assert sum(told) == len(truth)
+    held = found.contains([truth.get(name, 0.0) for name in found.names])
+    assert held[told].all()
+    # What lengthens no interval is not shown.
+    assert exact.intervals is not None
+    assert not exact.intervals.shares
+    assert exact.intervals_note is None
+
+
+def test_powers_of_covariances_have_no_such_bias() -> None:
+    found = sdpid.identify(ARM, recorded(NOISE), friction=(), effects="none", weighting="eq18")
+    assert not found.problem.errors
+
+
+def test_a_copy_has_the_times_that_speeds_tell() -> None:
+    recorded, _ = jittering(3)
+    clock = told_clock(recorded)
+    assert clock is not None
+    regular, copy = retimed(recorded, clock), motion_noise.with_noise(recorded, generator(0))
+    np.testing.assert_array_equal(copy.time, regular.time)
+    np.testing.assert_array_equal(copy.effort, regular.effort)
+    assert np.std(copy.position - regular.position) > 0.0
 
 
 def test_a_copy_has_the_noise_of_the_recording_once_more() -> None:

@@ -87,6 +87,7 @@ def test_drives_and_delay_are_found(result):
     found = result.drives
     assert found.kinds == ("armature", "damping", "friction", "slope")
     assert found.complete
+    assert not result.problem.errors
     assert result.certificate.passed
     low, high = found.delay_interval
     assert low <= 0.005 <= high
