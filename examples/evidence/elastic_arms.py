@@ -14,6 +14,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.stats import binom
 from study import Rows, Study, known
 
 import sdpid
@@ -158,6 +159,13 @@ def summary(own: dict[str, Any]) -> float:
     return float(100.0 * np.mean(inside))
 
 
+def by_chance(own: dict[str, Any]) -> str:
+    """Return between which shares, %, as many right 95 % intervals hold the truth 95 % of times."""
+    count = len(own["seed"])
+    low, high = 100.0 * binom.ppf([0.025, 0.975], count, 0.95) / count
+    return f"{low:.1f} to {high:.1f}"
+
+
 def error(own: dict[str, Any]) -> float | None:
     """Return the median error, %."""
     found = known(100.0 * np.abs(own["estimate"] / own["truth"] - 1.0))
@@ -183,6 +191,7 @@ def main() -> None:
     ways = {
         "intervals": "count seed",
         "held_percent": summary,
+        "right intervals by chance, %": by_chance,
         "median error, %": error,
         "median half width, %": width,
     }

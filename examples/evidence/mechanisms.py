@@ -2,7 +2,8 @@
 
 MuJoCo simulates each under a controller, with dry and viscous friction and noisy encoders and
 efforts; `identify` has a description whose masses are 15 % off, and finds links, friction and
-springs.
+springs. Counted are intervals of base parameters that are from the data, and those of directions of
+base parameters that the data tell apart: one crank's motion shows no parameter of the ankle alone.
 
     python examples/evidence/mechanisms.py --out results --seeds 10
 """
@@ -20,6 +21,9 @@ from study import Rows, Study
 import sdpid
 from sdpid import friction as terms
 from sdpid._common.arrays import Array
+from sdpid.assurance.intervals.delta_method import half_widths
+from sdpid.assurance.intervals.parameters import FROM_DATA
+from sdpid.estimation.posterior import Posterior
 
 RATE, STEPS, SECONDS = 250.0, 16, 30.0
 # Noise of encoders, rad, of 19 bits and of 17, and of efforts as a share of their rms.
@@ -176,22 +180,28 @@ def run(kind: str, noise: float, seed: int) -> Rows:
     found = sdpid.identify(robot, log, friction=mechanism.friction, effects="none")
     base, bodies = found.problem.base, true.prior.ravel()
     own = [mechanism.truth.get(name, 0.0) for name in base.theta_names[len(bodies) :]]
-    truth = dict(zip(base.names, base.matrix @ [*bodies, *own], strict=True))
-    ends = found.intervals
-    for name, low, high in zip(ends.names, ends.lower, ends.upper, strict=True):
+    values = base.matrix @ [*bodies, *own]
+    truth, ends = dict(zip(base.names, values, strict=True)), found.intervals
+    for name, low, high, label in zip(ends.names, ends.lower, ends.upper, ends.label, strict=True):
         # What is not negative and zero is held by its limit.
-        if truth.get(name):
-            yield name, truth[name], low, high
+        if truth.get(name) and label == FROM_DATA:
+            yield "parameters", name, truth[name], low, high
+    # The directions that the data see best come first.
+    ways, estimate = np.linalg.svd(found.problem.A)[2], found.estimate
+    half, of_prior = half_widths(Posterior.of(estimate), ways @ base.matrix, ends.level)
+    for k in np.flatnonzero(of_prior < 0.5).tolist():
+        value = ways[k] @ estimate.base
+        yield "directions", k + 1, ways[k] @ values, value - half[k], value + half[k]
 
 
 def main() -> None:
     """Run the study."""
     study = Study(__doc__, quick={"seeds": 1}, seeds=(10, "of each mechanism"))
-    columns = ("mechanism", "noise, rad", "seed", "name", "truth", "lower", "upper")
+    columns = ("mechanism", "noise, rad", "seed", "of", "name", "truth", "lower", "upper")
     kinds = ("springs", "wrist", "ankle")
     rows = study.rows("mechanisms_each.csv", columns, run, kinds, NOISES, range(study.seeds))
     ways = {"intervals": "count seed", "held_percent": summary}
-    study.summary("mechanisms.csv", rows, ("mechanism", "noise, rad"), ways)
+    study.summary("mechanisms.csv", rows, ("mechanism", "noise, rad", "of"), ways)
 
 
 if __name__ == "__main__":
