@@ -161,8 +161,9 @@ def summary(own: dict[str, Any]) -> float:
 
 def by_chance(own: dict[str, Any]) -> str:
     """Return between which shares, %, as many right 95 % intervals hold the truth 95 % of times."""
-    count = len(own["seed"])
-    low, high = 100.0 * binom.ppf([0.025, 0.975], count, 0.95) / count
+    # Of no compliance only the lower end can miss it.
+    count, one_end = len(own["seed"]), np.isnan(own["truth"].astype(float)).all()
+    low, high = 100.0 * binom.ppf([0.025, 0.975], count, 0.975 if one_end else 0.95) / count
     return f"{low:.1f} to {high:.1f}"
 
 
