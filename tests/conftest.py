@@ -83,7 +83,7 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     for report in terminalreporter.stats.get("passed", ()):
         listed = {"slow", "examples", "studies"} & {*report.keywords}
         if report.when == "call" and report.duration > _UNLISTED_SECONDS and not listed:
-            took = f"{report.nodeid.partition('@')[0]} took {report.duration:.1f} s"
+            took = f"{report.nodeid} took {report.duration:.1f} s"
             terminalreporter.write_line(f"{took}: list it in tests/slow.txt if it is slow alone")
 
 
@@ -119,7 +119,7 @@ def interruptible() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def dask_client() -> Iterator[Any]:
-    """Return a client of two worker processes; tests that use it share the group ``dask``.
+    """Return a client of two worker processes.
 
     A cluster that waits takes a tenth of a core, so none outlives its module.
     """

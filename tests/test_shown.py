@@ -23,9 +23,6 @@ from tests.helpers.plans import small_plan, standing_plan
 from tests.helpers.runs import recorded
 from tests.test_contract import BESIDE, CONTRACT
 
-# In one process, which makes the results once.
-pytestmark = pytest.mark.xdist_group("shown")
-
 # Characters of a line that is still read.
 LINE = 200
 

@@ -20,9 +20,6 @@ NAMESPACES = ("constraints", "controllers", "errors", "friction", "plots")
 OBJECTS = re.compile(r"^\.\. auto(?:class|function|exception):: (\S+)$", re.M)
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
-# Processes make what the examples start from, once each: this many groups of examples share it.
-GROUPS = 4
-
 # What `numpydoc.validate` must not find: no docstring; missing, unknown, disordered parameters,
 # parameters without a type or a description; no summary in a sentence; unknown or disordered
 # sections; nothing said of what is returned; no examples.
@@ -46,15 +43,6 @@ def names_of_the_pages() -> list[str]:
 
 
 NAMES = sorted({*public_names(), *names_of_the_pages()})
-
-
-def grouped() -> list[Any]:
-    """Return the names with a mark each, by which workers share the groups."""
-    found = []
-    for i, name in enumerate(NAMES):
-        group = f"examples of names {i * GROUPS // len(NAMES)}"
-        found.append(pytest.param(name, marks=pytest.mark.xdist_group(group)))
-    return found
 
 
 def resolve(name: str) -> Any:
@@ -125,7 +113,7 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return names
 
 
-@pytest.mark.parametrize("name", grouped())
+@pytest.mark.parametrize("name", NAMES)
 def test_examples_run(
     name: str, start: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,10 +13,7 @@ from tests.helpers.runs import arm, recorded
 
 # Whoever collects tests does not wait until it is imported.
 LACKING = find_spec("distributed") is None
-pytestmark = [
-    pytest.mark.xdist_group("dask"),
-    pytest.mark.skipif(LACKING, reason="the extra dask is not installed"),
-]
+pytestmark = pytest.mark.skipif(LACKING, reason="the extra dask is not installed")
 
 
 PROCESSING = sdpid.Processing(cutoff_hz=10.0)

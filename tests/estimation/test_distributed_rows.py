@@ -27,9 +27,6 @@ PROCESSING = Processing(
 )
 FRICTION = (sdpid.friction.Coulomb(width=0.02), sdpid.friction.SigmoidFriction(), "viscous")
 
-# One cluster serves all of these.
-pytestmark = pytest.mark.xdist_group("dask")
-
 # What the answers of one machine and of many may differ by, relative.
 SAME = 1e-12
 
