@@ -199,22 +199,27 @@ def trees() -> dict[str, ast.Module]:
 
 
 @cache
+def every_import(*, executed_only: bool = False) -> list[tuple[str, str, int]]:
+    """Return each module with what it imports, and the number of leading dots."""
+    return [
+        (name, *each)
+        for name, tree in trees().items()
+        for each in imports(tree, executed_only=executed_only)
+    ]
+
+
+@cache
 def arrows() -> dict[str, set[str]]:
     """Return who imports whom, imports inside functions and for type checkers counted.
 
     A package stands for its own __init__.py only: what is imported from a module is counted as
     that module.
     """
-    return {
-        name: {
-            imported
-            for given, dots in imports(tree)
-            if (imported := resolved(name, given, dots)) in MODULES
-            and imported not in ("sdpid", name)
-        }
-        for name, tree in trees().items()
-        if name != "sdpid"
-    }
+    found: dict[str, set[str]] = {name: set() for name in MODULES}
+    for name, given, dots in every_import():
+        found[name].add(resolved(name, given, dots))
+    del found["sdpid"]
+    return {name: targets & {*MODULES} - {"sdpid", name} for name, targets in found.items()}
 
 
 def room(name: str) -> str | None:
@@ -290,13 +295,6 @@ def test_every_part_of_a_room_is_named_in_the_order() -> None:
         and name.split(".")[2] not in order
     ]
     assert unnamed == []
-
-
-def every_import(*, executed_only: bool = False) -> Iterator[tuple[str, str, int]]:
-    """Yield each module with what it imports, and the number of leading dots."""
-    for name, tree in trees().items():
-        for imported, dots in imports(tree, executed_only=executed_only):
-            yield name, imported, dots
 
 
 def test_imports_are_absolute() -> None:

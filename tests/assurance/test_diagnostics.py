@@ -730,7 +730,7 @@ def test_multipliers_of_limits(name: str, consistency: Consistency) -> None:
     # The three that press most, in units of their own.
     for state in sorted(pressing, key=lambda state: -abs(state.multiplier))[:3]:
         assert state.active
-        multiplier, cost = state.multiplier, partial(cost_beside, problem, state)
+        multiplier, cost = state.multiplier, cache(partial(cost_beside, problem, state))
         # Small beside a centimeter of a kilogram.
         step = 2e-4 if rows else max(0.02 * abs(state.limit), 5e-3)
         # Optimal costs are convex in the limits.

@@ -3,9 +3,11 @@
 import json
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from typer import testing
 from typer.testing import CliRunner, Result
 
 from sdpid import cli, verifier
@@ -13,6 +15,9 @@ from sdpid.cli.commands import Given, Table, rows_of
 from tests.helpers.arm_files import write_arm
 
 VERIFIER = Path(verifier.__file__).parent
+
+# Typer would make all commands anew for each line.
+testing._get_command = cache(testing._get_command)
 
 
 def run(*arguments: Any) -> Result:
