@@ -22,6 +22,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, frozen
 from sdpid._common.kept import kept
 from sdpid._common.tables import Shown
+from sdpid._common.threads import one_thread
 from sdpid.errors import SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.compression.covariance import PRINTED
@@ -220,6 +221,7 @@ class Posterior:
         self.from_errors = self.from_fit @ errors.root
 
     @classmethod
+    @one_thread
     def of(cls, estimate: Estimated, groups: Groups = "frequencies") -> Posterior:
         """Gather the errors of an estimate.
 

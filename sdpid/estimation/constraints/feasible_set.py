@@ -341,10 +341,16 @@ class FeasibleSet(Shown):
         """Return every link's margin in kg·m², NaN where the mass is not positive."""
         return margin(self.bodies(theta), self.consistency)
 
+    def cones(self, theta: Array) -> Array:
+        """Return the last rows (c, s) of the further conditions' matrices: vector, then axis."""
+        own = slice(self.n_own, None)
+        bodies, basis = self.bodies(theta)[self.block_links[own]], self.block_basis[own, :, -1]
+        return np.asarray(np.einsum("nk,nkj->nj", bodies, basis) + self.block_constants[own, -1])
+
     def slacks(self, theta: Array) -> Array:
         """Return by how much each cone of the further conditions holds, in its own unit."""
-        F = self.matrices(theta)[self.n_own :]
-        return np.asarray(F[:, -1, -1] - np.linalg.norm(F[:, -1, :-1], axis=1))
+        rows = self.cones(theta)
+        return np.asarray(rows[:, -1] - np.linalg.norm(rows[:, :-1], axis=1))
 
     def limits_of(self, functions: Array) -> tuple[Array, Array]:
         """Return the declared limits (k,) of functions (k, p) of theta.

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid._common.kept import last_kept
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import (
@@ -104,11 +105,13 @@ class PhysicalVariables:
             self.free = np.delete(self.free, [k for k in (*range(6), 6 + axis) if k != about])
         self.spread = spread[:, self.free]
 
+    @last_kept
     def _links(self, x: Array) -> tuple[Array, Array, Array]:
         """Return masses (links,), centers of mass (links, 3) and inertias about them."""
         each = self.problem.feasible.bodies(self.spread @ x)
         return each[:, 9], each[:, 6:9], np.tensordot(each[:, :6], _TENSOR_BASIS, 1)
 
+    @last_kept
     def theta(self, x: Array) -> Array:
         """Return the standard parameters of scaled free variables."""
         bodies = theta_from_physical(*self._links(x))
@@ -128,14 +131,20 @@ class PhysicalVariables:
 
     def pulled(self, x: Array, slopes: Array) -> Array:
         """Return derivatives in theta (k, p) as ones in the scaled free variables (k, count)."""
-        each = self.problem.feasible.bodies(self.spread @ x)
-        mass, com, units, links = each[:, 9], each[:, 6:9], np.eye(10), each.size
-        J = np.empty((len(mass), 10, 10))
-        J[:, :, :6] = units[:, 4:]
-        J[:, :, 9], J[:, :, 6:9] = physical_slopes(mass[:, None], com[:, None], units)
-        parts = slopes[:, :links].reshape(-1, len(mass), 10).swapaxes(0, 1)
+        J = self._link_jacobians(x)
+        links = 10 * len(J)
+        parts = slopes[:, :links].reshape(-1, len(J), 10).swapaxes(0, 1)
         pulled = (parts @ J).swapaxes(0, 1).reshape(-1, links)
         return np.asarray(np.hstack([pulled, slopes[:, links:]]) @ self.spread)
+
+    @last_kept
+    def _link_jacobians(self, x: Array) -> Array:
+        """Return the derivative of each link's parameters in its variables, (links, 10, 10)."""
+        mass, com, _ = self._links(x)
+        units, J = np.eye(10), np.empty((len(mass), 10, 10))
+        J[:, :, :6] = units[:, 4:]
+        J[:, :, 9], J[:, :, 6:9] = physical_slopes(mass[:, None], com[:, None], units)
+        return J
 
     def within(self, x: Array) -> Array:
         """Return scaled free variables with masses and friction within their bounds."""
@@ -247,7 +256,7 @@ class PhysicalConstraints:
     def _cone_slopes(self, theta: Array) -> Array:
         """Return the derivatives in theta of the cones' rooms, in units of the cones."""
         feasible = self.variables.problem.feasible
-        v = feasible.matrices(theta)[feasible.n_own :, -1, :-1]
+        v = feasible.cones(theta)[:, :-1]
         length = np.linalg.norm(v, axis=1, keepdims=True)
         # At the apex of ‖v‖ zero is one of its slopes.
         last = np.append(-v / np.where(length > 0.0, length, 1.0), np.ones_like(length), axis=1)
