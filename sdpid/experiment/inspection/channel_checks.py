@@ -290,7 +290,7 @@ def wrong_channels(subject: Subject) -> tuple[list[Finding], Subject]:
 
 def _parts(subject: Subject, j: int) -> Iterator[JointChannels]:
     """Yield a joint's channels: at once, or in parts of as many rows as are worked on at a time."""
-    low, high = subject.position_range
+    low, high = subject.log.position_range
     names = [x for x in ("position", "effort", "velocity") if getattr(subject.log, x) is not None]
     parts = [
         (piece, slice(begin, begin + ROWS))
@@ -334,7 +334,7 @@ def silent(subject: Subject) -> list[Finding]:
         return []
     rows = np.unique(np.linspace(1, log.n_samples - 2, _SOME).astype(np.intp))
     steps = np.abs(log.position[rows + 1] - log.position[rows - 1])
-    moves = moving(*subject.position_range) & [name not in subject.passive for name in log.names]
+    moves = moving(*log.position_range) & [name not in subject.passive for name in log.names]
     for j in np.flatnonzero(moves):
         fast = steps[:, j] > _FAST * np.percentile(steps[:, j], _MOST_STEPS)
         share = float(np.mean(log.effort[rows[fast], j] == 0.0)) if fast.any() else 0.0
@@ -356,7 +356,7 @@ def signals(subject: Subject) -> Iterator[Finding]:
 @check
 def clipped(subject: Subject) -> Iterator[Finding]:
     """Find efforts and velocities that stop at a largest value while the joint moves."""
-    log, moves = subject.log, np.flatnonzero(moving(*subject.position_range)).tolist()
+    log, moves = subject.log, np.flatnonzero(moving(*subject.log.position_range)).tolist()
     begin = max(0, (log.n_samples - _COMPARED) // 2)
     for quantity, severity in (("effort", None), ("velocity", subject.about_velocity)):
         table = getattr(log, quantity)
@@ -417,7 +417,7 @@ def noisy_efforts(subject: Subject) -> Iterator[Finding]:
     except DataError:
         return
     rows, length = slice(0, _HEARD), min(piece.n_samples, _HEARD, round(_HEARD_S / piece.step))
-    moves = moving(*subject.position_range)
+    moves = moving(*subject.log.position_range)
     for j in np.flatnonzero(moves).tolist() if band < 0.5 * _BELOW / piece.step else ():
         name, effort = piece.names[j], np.asarray(piece.effort[rows, j], dtype=np.float64)
         if name in subject.without or not np.ptp(effort):

@@ -80,7 +80,7 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
     if rows is None or rows.recorded_velocity is None:
         return
     limit, lags = max(_LEAST_DELAY, _LEAST_STEPS * rows.step), {}
-    for j in np.flatnonzero(moving(*subject.position_range)).tolist():
+    for j in np.flatnonzero(moving(*subject.log.position_range)).tolist():
         signals = (rows.recorded_velocity, rows.velocity, rows.acceleration)
         fit = follows(*(each[:, j] for each in signals))
         # Another signal has no delay.
@@ -104,7 +104,7 @@ def late_links(subject: Subject) -> Iterator[Finding]:
     assert log.link_position is not None  # pieces have what the recording has
     rows = slice(0, _READ)
     motor, link = np.asarray(log.position[rows]), np.asarray(log.link_position[rows])
-    moves = moving(*subject.position_range)
+    moves = moving(*subject.log.position_range)
     shares = unlike(motor, link)
     for j in np.flatnonzero(~both & moves & (shares >= FOLLOWS)).tolist():
         share = float(shares[j])

@@ -238,7 +238,7 @@ def degrees(subject: Subject) -> Iterator[Finding]:
     """Find positions in degrees."""
     robot = subject.fixed
     limits = None if robot is None else robot.position_limits[robot.n_base :]
-    suspects = suspect_units(subject.log, limits, subject.position_range)
+    suspects = suspect_units(subject.log, limits)
     if suspects:
         yield found("position_in_degrees", seen=f": {', '.join(suspects)}", mended="")
 
@@ -246,7 +246,7 @@ def degrees(subject: Subject) -> Iterator[Finding]:
 @check
 def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
     """Find joints that never move, and positions that jump."""
-    low, high = subject.position_range
+    low, high = subject.log.position_range
     for j, (name, reach) in enumerate(zip(subject.log.names, (high - low).tolist(), strict=True)):
         # A joint without a motor moves as far as its loop moves it: nobody can excite it.
         if reach < AT_REST and name not in subject.passive:
@@ -284,7 +284,7 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
     names = subject.log.names
     forth, back = (np.maximum(sign * rows.velocity, 0.0).sum(axis=0) for sign in (1.0, -1.0))
     shares = np.minimum(forth, back) / np.maximum(forth + back, 1e-300)
-    one_way = np.flatnonzero(moving(*subject.position_range) & (shares < _BACK)).tolist()
+    one_way = np.flatnonzero(moving(*subject.log.position_range) & (shares < _BACK)).tolist()
     if one_way:
         share, alone = float(shares[one_way].max()), len(one_way) == 1
         yield found(
@@ -355,7 +355,7 @@ def references(subject: Subject) -> Iterator[Finding]:
         return
     motion = list(zip(rows.position.T, rows.velocity.T, rows.effort.T, strict=True))
     wrong, numbers = {}, {}
-    for j in np.flatnonzero(moving(*subject.position_range)).tolist():
+    for j in np.flatnonzero(moving(*subject.log.position_range)).tolist():
         name, reference = subject.log.names[j], rows.recorded_reference[:, j]
         fit = follows(reference, *motion[j])
         what = _unlike(fit)

@@ -27,7 +27,6 @@ from sdpid.experiment.recording.floating import BaseMotion
 from sdpid.experiment.recording.gaps import RETIMED, continuous
 from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.dynamics import spring_efforts
 from sdpid.robot.model.model import RobotModel
 
@@ -168,11 +167,6 @@ class Subject:
     def row(self, time: float) -> int:
         """Return the row of a sample as it was measured, from 1."""
         return int(np.searchsorted(np.asarray(self.given.time), time)) + 1
-
-    @cached_property
-    def position_range(self) -> tuple[Array, Array]:
-        """Least and largest position of each joint, (n,) each."""
-        return extremes(self.log.position)
 
     @cached_property
     def low_passed(self) -> FilteredRows | None:

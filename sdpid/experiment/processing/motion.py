@@ -10,7 +10,6 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording.plausible import AT_REST, moving
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import extremes
 
 # This share of a motion's power lies below its highest frequency.
 MOTION_SHARE = 0.95
@@ -51,7 +50,7 @@ def joint_frequencies(log: Recording) -> list[tuple[float, float] | None]:
     are averaged over neighbors first, to a rate of at least 100 Hz, and the amplitudes that the
     average takes are given back. None for a joint that does not move (see `moving`).
     """
-    moves = moving(*extremes(log.position)).tolist()
+    moves = moving(*log.position_range).tolist()
     return [
         band(frequency, power) if moves_itself else None
         for (frequency, power), moves_itself in zip(_spectra(log), moves, strict=True)
@@ -84,7 +83,7 @@ def noise_limit(log: Recording, share: float) -> float:
     """
     count = min(log.n_samples, _LONG)
     shares = []
-    for j in np.flatnonzero(moving(*extremes(log.position))).tolist():
+    for j in np.flatnonzero(moving(*log.position_range)).tolist():
         position = np.asarray(log.position[:count, j])
         frequency, power = spectrum(position, log.rate_hz, count)
         noise = _on_top(frequency, power)

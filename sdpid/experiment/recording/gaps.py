@@ -14,7 +14,6 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording.clock import retimed, told_clock
 from sdpid.experiment.recording.recording import OPTIONAL, Recording
-from sdpid.experiment.recording.stored import extremes
 
 # The first words of the note on times that speeds tell.
 RETIMED = "times taken"
@@ -151,7 +150,7 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
         less 1 rad is left alone: it is in another unit, or has outliers.
     """
     jumps = np.zeros(log.n, dtype=np.intp)
-    low, high = extremes(log.position)
+    low, high = log.position_range
     position: Array | None = None
     for j in np.flatnonzero(high - low >= _TURN - _LARGEST_STEP).tolist():
         steps = np.diff(log.position[:, j])

@@ -10,7 +10,6 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, shaped
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import extremes
 
 _TURN = 2.0 * math.pi
 # A joint whose position stays within this (rad, or m) does not move: that is a hand's width of
@@ -60,11 +59,7 @@ def moving(low: Array, high: Array) -> Mask:
     return np.asarray(reach > max(AT_REST, _DRAGGED * float(reach.max(initial=0.0))))
 
 
-def suspect_units(
-    recording: Recording,
-    position_limits: Any = None,
-    position_range: tuple[Array, Array] | None = None,
-) -> tuple[str, ...]:
+def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[str, ...]:
     """Name the joints whose positions look like degrees.
 
     A joint with finite limits is named when its positions are far beyond them (more than two
@@ -80,8 +75,6 @@ def suspect_units(
         The log to look at.
     position_limits : (n, 2) array_like, optional
         Lower and upper limits in rad, infinite where there are none.
-    position_range : pair of (n,) ndarray, optional
-        Least and largest positions, where they are known.
 
     Returns
     -------
@@ -93,7 +86,7 @@ def suspect_units(
     DataError
         When the limits are of another shape.
     """
-    low, high = extremes(recording.position) if position_range is None else position_range
+    low, high = recording.position_range
     peak = np.maximum(np.abs(low), np.abs(high))
     beyond = peak > _TWO_TURNS
     limits = _limits(recording, position_limits)
@@ -159,7 +152,7 @@ def require_no_outliers(log: Recording) -> None:
     DataError
         Naming the joint, the row and the jump, and how many there are.
     """
-    low, high = extremes(log.position)
+    low, high = log.position_range
     for j in np.flatnonzero(high - low > _LARGEST_STEP).tolist():
         steps = np.diff(log.position[:, j])
         turns = np.rint(steps / _TURN)

@@ -6,6 +6,7 @@ import json
 import os
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -206,7 +207,7 @@ class Recording(Sampled):
         return words
 
     def _tables(self) -> list[Table]:
-        low, high = extremes(self.position)
+        low, high = self.position_range
         columns: dict[str, Any] = {"joint": self.names, "least position": low.tolist()}
         columns |= {"greatest position": high.tolist()}
         if "effort" in self.channels:
@@ -218,6 +219,11 @@ class Recording(Sampled):
     def n(self) -> int:
         """Number of joints."""
         return int(self.position.shape[1])
+
+    @cached_property
+    def position_range(self) -> tuple[Array, Array]:
+        """Least and greatest position of each joint, (n,) each, rad."""
+        return extremes(self.position)
 
     @property
     def duration(self) -> float:
