@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -51,8 +50,8 @@ class SolvedMotion:
         Positions at the ends of the steps.
     converged : bool
         Whether Newton's method came to an end.
-    bands : tuple of ndarray
-        The equations of each tree of joints, as `solve_steps` takes them.
+    factors : tuple of Factor
+        Those of the equations of each tree of joints.
     """
 
     position: Array
@@ -63,7 +62,7 @@ class SolvedMotion:
     side: Array
     free: Mask
     z: Array
-    bands: tuple[Array, ...]
+    factors: tuple[Factor, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,6 +119,7 @@ class LawRollout:
         self._time = log.time - log.time[0]
         self.count = int(np.floor(self._time[-1] / STEP + 1e-9))
         self._grid = STEP * np.arange(self.count + 1.0)
+        self._stamps = np.minimum(self._time, self._grid[-1])
         self._guess = _line(self._time, log.position, self._grid)
         self._commands = log.commands.curve(self._time).antiderivative()
         slopes = inverse_dynamics_slopes(links, *self._smooth())
@@ -138,8 +138,7 @@ class LawRollout:
         command, feedforward = self.commands(drives.delay)
         armature, damping, kp, kd = (drives[k] for k in ("armature", "damping", "kp", "kd"))
         limit = self.log.commands.limit
-        weight = 1.0 / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
-        stiff = _STIFFNESS * weight
+        stiff = _STIFFNESS / np.diag(np.linalg.inv(self._resting + np.diag(armature)))
         size = size_before = np.inf
         trees, mobility = self._trees(self._slopes, drives)
         for number in range(_ROUNDS):
@@ -171,15 +170,17 @@ class LawRollout:
             leaning = side * (level > 0.0) * (drives["slope"] + 2.0 * z * drives["curve"])
             by_speed = (hold * _RATE + free * kd) / h
             by_place = leaning + free * kp + by_speed
-            bands, move = [], np.zeros_like(q)
+            factors, move = [], np.zeros_like(q)
             for joints, blocks, undamped in trees:
                 held, own = hold[:, joints, None] / h**2 * undamped, blocks.copy()
                 own[:, 2:] += held * np.array([1.0, -2.0, 1.0])[:, None, None, None]
                 now, before = np.einsum("bkii->bki", own[1:, 2:])
                 now += by_place[:, joints]
                 before -= by_speed[:, joints]
-                bands.append(banded(own))
-                move[:, joints] = solve_steps(bands[-1], np.pad(wrong[:, joints], ((2, 0), (0, 0))))
+                factors.append(factored(own))
+                move[:, joints] = solve_steps(
+                    factors[-1], np.pad(wrong[:, joints], ((2, 0), (0, 0)))
+                )
             q += move
             size_before, size = size, float(np.abs(move).max())
             if size < _SETTLED or not size < _LOST:
@@ -193,13 +194,13 @@ class LawRollout:
             side=side * (level > 0.0),
             free=free,
             z=z,
-            bands=tuple(bands),
+            factors=tuple(factors),
         )
 
     @np.errstate(over="ignore", invalid="ignore")
     def positions(self, motion: SolvedMotion) -> Array:
         """Return the motion's positions at the log's time stamps, (N, n)."""
-        return self._at_stamps(motion.position)
+        return _line(self._grid, motion.position, self._stamps)
 
     def columns(
         self,
@@ -208,7 +209,7 @@ class LawRollout:
         rows: Sequence[str],
         delay: bool,
         regressor: Array | None = None,
-    ) -> Blocks:
+    ) -> list[tuple[Indices, Array]]:
         """Return the derivatives of `positions`, of each tree of joints on its own.
 
         Parameters
@@ -243,7 +244,7 @@ class LawRollout:
         }
         lag = self._command_rate(drives.delay) * drives["kp"] * motion.free
         found, count = [], len(rows)
-        for joints, band in zip(self.trees, motion.bands, strict=True):
+        for joints, factor in zip(self.trees, motion.factors, strict=True):
             m, more = len(joints), 0 if regressor is None else 10 * len(joints)
             own, k = np.arange(m), count * m + delay
             push = np.zeros((len(z) + 2, m, k + 2 * m + more))
@@ -257,7 +258,7 @@ class LawRollout:
             if regressor is not None:
                 places = (10 * joints[:, None] + np.arange(10)).ravel()
                 push[2:, :, k + 2 * m :] = regressor[:, joints[:, None], places]
-            found.append((joints, self._at_stamps(solve_steps(band, -push)[1:])))
+            found.append((joints, _line(self._grid, solve_steps(factor, -push)[1:], self._stamps)))
         return found
 
     def _trees(
@@ -272,7 +273,7 @@ class LawRollout:
         for joints, (by_position, by_velocity, masses) in zip(self.trees, slopes, strict=True):
             E, damping = np.eye(len(joints)), drives["damping"][joints]
             masses = masses + E * drives["armature"][joints]
-            mobility[:, joints] = diagonals(np.linalg.inv(masses + h * damping * E))
+            mobility[:, joints] = np.einsum("kii->ki", np.linalg.inv(masses + h * damping * E))
             undamped = E + h * np.linalg.inv(masses) * damping
             blocks = np.zeros((3, self.count + 2, *E.shape))
             blocks[0], blocks[2, 2:] = E, masses / h**2 - by_velocity / h
@@ -323,10 +324,6 @@ class LawRollout:
         )
         return q[:-1], v[:-1], a[:-1]
 
-    def _at_stamps(self, values: Array) -> Array:
-        """Interpolate values (K + 1, ...) on the grid at the log's time stamps."""
-        return _line(self._grid, values, np.minimum(self._time, self._grid[-1]))
-
 
 def _line(time: Array, values: Array, when: Array) -> Array:
     """Return values (N, …) joined by lines at other times."""
@@ -335,17 +332,14 @@ def _line(time: Array, values: Array, when: Array) -> Array:
     return np.asarray(make_interp_spline(time, values, k=1, check_finite=False)(when))
 
 
-def diagonals(blocks: Any) -> Array:
-    """Return the diagonals (K, m) of blocks (K, m, m), as a view."""
-    return np.asarray(np.einsum("kii->ki", blocks))
+# An LU factor in LAPACK's storage, and its pivots.
+Factor = tuple[Array, Indices]
 
 
-# Derivatives of the positions of each tree of joints.
-Blocks = list[tuple[Indices, Array]]
+def factored(blocks: Array) -> Factor:
+    """Factor the equations of blocks (3, K, m, m) on and below the diagonal, nearest first."""
+    from scipy.linalg.lapack import dgbtrf
 
-
-def banded(blocks: Array) -> Array:
-    """Return blocks (3, K, m, m) on and below the diagonal, nearest first, in LAPACK's storage."""
     K, m = blocks.shape[1:3]
     band = np.zeros((7 * m - 2, K * m))
     for shift, own in enumerate(blocks):
@@ -353,16 +347,18 @@ def banded(blocks: Array) -> Array:
             for j in range(m):
                 row = 4 * m - 2 + i - j + shift * m
                 band[row, j : (K - shift) * m : m] = own[shift:, i, j]
-    return band
+    lu, pivots, _ = dgbtrf(band, 3 * m - 1, m - 1, overwrite_ab=1)
+    return lu, pivots
 
 
-def solve_steps(band: Array, values: Array) -> Array:
-    """Solve the `banded` equations of m joints for right sides (K, m, …)."""
-    from scipy.linalg.lapack import dgbsv
+def solve_steps(factor: Factor, values: Array) -> Array:
+    """Solve the equations of m joints for right sides (K, m, …)."""
+    from scipy.linalg.lapack import dgbtrs
 
     m = values.shape[1]
     flat = values.reshape(len(values) * m, -1)
-    return np.asarray(dgbsv(3 * m - 1, m - 1, band, flat)[2].reshape(values.shape))
+    found = dgbtrs(factor[0], 3 * m - 1, m - 1, flat, factor[1])[0]
+    return np.asarray(found.reshape(values.shape))
 
 
 def _components(masses: Array) -> tuple[Indices, ...]:
