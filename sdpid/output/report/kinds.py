@@ -6,16 +6,19 @@ report, `Identification.verdict`, lines of the terminal and JSON are drawn from 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from string import Formatter
 from typing import Any, Literal
+
+from sdpid.verifier import reading
 
 Level = Literal["good", "caution", "bad"]
 LEVELS: tuple[Level, ...] = ("bad", "caution", "good")
 
-# Names listed before "and 3 more".
-_LISTED = 4
+# Names with commas between them; of more than four how many more there are.
+listed = partial(reading.listed, most=4)
 
 
 @dataclass(frozen=True)
@@ -239,7 +242,7 @@ class _VerdictWords(Formatter):
         if format_spec == "%":
             return percent(value)
         if isinstance(value, list | tuple):
-            return listed(value, 99 if format_spec == "all" else _LISTED)
+            return ", ".join(value) if format_spec == "all" else listed(value)
         return super().format_field(value, format_spec)
 
 
@@ -253,13 +256,6 @@ def found(kind: str, /, *, careful: bool = False, **fields: Any) -> VerdictFindi
 def named(kind: str, names: Sequence[str], **fields: Any) -> tuple[VerdictFinding, ...]:
     """Return a finding of a kind about what has these names; none where there are none."""
     return (found(kind, names=names, **fields),) if names else ()
-
-
-def listed(names: Iterable[str], most: int = _LISTED) -> str:
-    """Join up to `most` names with commas, and count the rest."""
-    every = list(names)
-    more = f" and {len(every) - most} more" if len(every) > most else ""
-    return ", ".join(every[:most]) + more
 
 
 def percent(share: float) -> str:
