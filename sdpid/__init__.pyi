@@ -39,7 +39,7 @@ from .experiment.recording.floating import BaseMotion, Contacts, Imu
 from .experiment.recording.motor_side import MotorSide
 from .experiment.recording.recording import Recording
 from .experiment.simulation.closed_loop import simulate_closed_loop
-from .experiment.trajectory.paper import paper_excitation
+from .experiment.trajectory.drawn import paper_excitation
 from .experiment.trajectory.trajectory import Trajectory
 from .output.plans.write import write_plan
 from .output.report.report import write_report

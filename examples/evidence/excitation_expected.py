@@ -33,8 +33,8 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.excitation.criterion.belief import ExpectedNoise, usual_effort
 from sdpid.excitation.expected.expect import expect, rehearse
-from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.simulate import plant_parts
+from sdpid.experiment.trajectory.drawn import default_motion
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import FrictionModel

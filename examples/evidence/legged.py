@@ -45,8 +45,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import prior_terms
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.plant.legged.sensors import Sensors
-from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
+from sdpid.experiment.plant.legged.simulate import LeggedRun, Sensors, simulate_legged
 from sdpid.experiment.plant.legged.truth import DryFriction, TrueMotion, changed_parameters
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.legs import Legs, find_legs

@@ -23,7 +23,7 @@ from study import Rows, Study
 import sdpid
 from sdpid.experiment.inspection.delays import channel_delays, is_significant
 from sdpid.experiment.inspection.subject import Subject
-from sdpid.experiment.plant.legged.sensors import Sensors, record
+from sdpid.experiment.plant.legged.simulate import Sensors, record
 from sdpid.experiment.preparation.prepare import with_delays
 from sdpid.experiment.processing.settings import Processing
 from sdpid.robot.legs import find_legs
@@ -66,7 +66,6 @@ def recorded(
         (np.arange(len(run.motion.position)) - BEFORE) * run.recording.step,
         run.motion,
         Sensors(delays={"joints": -least * 1e-3, **late}, flag_threshold=threshold * walker.weight),
-        gravity=walker.robot.gravity,
         held=run.recording.contacts.n == 1,
         rng=np.random.default_rng(seed),
     )

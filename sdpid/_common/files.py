@@ -89,6 +89,15 @@ def load_toml(path: PathLike, error: type[SdpidError] = DataError) -> dict[str, 
         raise error(f"{path}: not a TOML file ({cause}).") from None
 
 
+def require_known(
+    given: Iterable[object], known: Iterable[str], where: str, wrong: str = "is not known"
+) -> None:
+    """Raise DataError when one of some names, of a file say, is none of those that are known."""
+    known = tuple(known)
+    if unknown := sorted({f"{name!s:.80}" for name in given if name not in known}):
+        raise DataError(f"{where}: {', '.join(unknown)} {wrong}; known are {', '.join(known)}.")
+
+
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path` that replaces it when the block ends without error.

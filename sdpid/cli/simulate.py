@@ -65,11 +65,10 @@ def _arm(given: Given) -> None:
     """Record a motion of a simulated robot on a fixed base."""
     import numpy as np
 
-    from sdpid.experiment.plant.default_motion import default_motion
-    from sdpid.experiment.plant.simulate import load_drives, plant_folder, true_parameters
+    from sdpid.experiment.plant.simulate import load_drives, true_parameters
     from sdpid.experiment.plant.simulate import simulate as run
     from sdpid.experiment.trajectory.curve import SampledCurve
-    from sdpid.experiment.trajectory.paper import paper_excitation
+    from sdpid.experiment.trajectory.drawn import default_motion, paper_excitation, plant_folder
     from sdpid.experiment.trajectory.reading import between_rests, read_trajectory
     from sdpid.robot.model.load import load_robot
     from sdpid.robot.model.model import RobotModel
@@ -111,8 +110,7 @@ def _arm(given: Given) -> None:
 
 def _legged(given: Given) -> None:
     """Record a motion of a simulated robot on legs."""
-    from sdpid.experiment.plant.legged.sensors import Sensors
-    from sdpid.experiment.plant.legged.simulate import simulate_legged
+    from sdpid.experiment.plant.legged.simulate import Sensors, simulate_legged
     from sdpid.experiment.plant.legged.truth import changed_parameters
     from sdpid.experiment.recording.recording import mapping_beside
     from sdpid.experiment.trajectory.whole_body import WholeBodyMotion

@@ -47,7 +47,7 @@ from sdpid.experiment.processing.base import landing_share, unit
 from sdpid.experiment.processing.motion import fourth_differences, noise_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.recording.clock import retimed, told_clock
+from sdpid.experiment.recording.gaps import retimed, told_clock
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import JointwiseTerm
 from sdpid.robot.friction.terms import RotorInertia

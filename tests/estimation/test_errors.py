@@ -25,10 +25,9 @@ from sdpid.estimation.motion_noise import friction_bias, landings_used, with_mot
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.posterior import Groups, Posterior, gain_errors
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.plant.legged.sensors import Sensors
-from sdpid.experiment.plant.legged.simulate import LeggedRun
+from sdpid.experiment.plant.legged.simulate import LeggedRun, Sensors
 from sdpid.experiment.preparation.prepare import samples_of
-from sdpid.experiment.recording.clock import retimed, told_clock
+from sdpid.experiment.recording.gaps import retimed, told_clock
 from sdpid.robot.friction.terms import SigmoidFriction
 from tests.experiment.test_clock import log as jittering
 from tests.helpers import world

@@ -18,7 +18,7 @@ from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.expected.expect import _kept_above, _posterior, _sums, expect, rehearse
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.open_directions import OpenDirection, open_directions
-from sdpid.experiment.plant.default_motion import default_motion
+from sdpid.experiment.trajectory.drawn import default_motion
 from tests.helpers.robots import TREE_MIMIC, small_arm
 
 ARM = small_arm(2)

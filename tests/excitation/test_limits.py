@@ -30,8 +30,8 @@ from sdpid.excitation.limits.measures import (
     tool_frames,
 )
 from sdpid.excitation.limits.torque import TorqueModel, body_sizes
-from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.trajectory.curve import Curve, SampledCurve, Spline
+from sdpid.experiment.trajectory.drawn import default_motion
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics

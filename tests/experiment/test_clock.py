@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.experiment.recording.clock import retimed, told_clock
-from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.gaps import continuous, retimed, told_clock
 from tests.helpers.strategies import SEEDS
 
 STEP, ROWS = 0.005, 3000

@@ -48,7 +48,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"columns": {"effort": "x"}}, "'x' for effort is not there"),
     ({"columns": {"effort": ["x"]}}, "x for effort is not there"),
     ({"columns": {"torque": "tau"}}, "columns: torque is not a quantity"),
-    ({"units": {"position": "grad"}}, "'grad' is not known for position; known are rad, deg"),
+    ({"units": {"position": "grad"}}, "grad is not known for position; known are rad, deg"),
     ({"units": {"effort": "A"}}, "currents in A, which need gains: let `sdpid gains`"),
     *(
         ({"units": units}, r"units\.\w+ is .*, expected a text")

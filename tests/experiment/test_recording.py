@@ -415,7 +415,7 @@ FLOATING: dict[str, Any] = {
     "neither gyroscope nor accelerometer": sdpid.Imu,
     "determinant is -1": lambda: sdpid.Imu(gyroscope=np.zeros((3, 3)), rotation=-np.eye(3)),
     "a is there more than once": lambda: contacts(frames=("a", "a")),
-    "'blob' is not known; known are point, line, plane": lambda: contacts(kind="blob"),
+    "blob is not known; known are point, line, plane": lambda: contacts(kind="blob"),
     "holds 0.5, expected True or False": lambda: contacts(down=np.full((ROWS, 2), 0.5)),
     r"expected \(40, 2, 3\)": lambda: contacts(forces=np.zeros((ROWS, 2, 6))),
     "not both": lambda: contacts(wrenches=np.zeros((ROWS, 2, 6))),

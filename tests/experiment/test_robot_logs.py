@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sdpid.errors import DataError
-from sdpid.experiment.readers.formats.robot_messages import register
+from sdpid.experiment.readers.formats.ros_bag import register
 from sdpid.experiment.readers.read import read_recording
 from tests.helpers.logs import DQ, TAU, Q, T, write_csv
 from tests.helpers.refusals import refuses

@@ -21,8 +21,7 @@ from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.contact_samples import ContactSamples
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.motion import motion_frequency, noise_limit
-from sdpid.experiment.processing.on_time import on_time
-from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.process import on_time, process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.floating import BaseMotion
 from tests.helpers.crawl import FEET as CRAWLING
@@ -411,11 +410,11 @@ CONTACTS: list[tuple[str, dict[str, Any]]] = [
     ("against is .*, expected a frame other", {"against": ["left", None]}),
     (r"down: has shape \(12, 3\)", {"down": np.zeros((12, 3), dtype=bool)}),
     ("down: holds 0.5, expected True or False", {"down": np.full((12, 2), 0.5)}),
-    ("kind is 'ball'", {"kind": "ball"}),
+    ("ball is not known", {"kind": "ball"}),
     (r"offset: has shape \(2,\)", {"offset": np.zeros(2)}),
     ("forces and force_covariance together", {"forces": WRENCHES}),
     (r"forces: has shape \(11, 2, 6\)", {"forces": WRENCHES[1:], "force_covariance": 0}),
-    (r"covariance has shape \(3, 3\)", {"forces": WRENCHES, "force_covariance": np.eye(3)}),
+    (r"covariance: has shape \(3, 3\)", {"forces": WRENCHES, "force_covariance": np.eye(3)}),
     ("least eigenvalue is -1", {"forces": WRENCHES, "force_covariance": -np.eye(6)}),
     ("finite and symmetric", {"forces": WRENCHES, "force_covariance": np.tri(6)}),
     ("is not measured; its other", {"forces": WRENCHES, "force_covariance": UNKNOWN}),

@@ -20,10 +20,9 @@ from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.simulate import load_drives
 from sdpid.experiment.simulation import arm as arm_module
 from sdpid.experiment.simulation import closed_loop
-from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.arm import SimulatedArm, Track, simulate_stretches, tip_positions
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.kernels import linked, loops
-from sdpid.experiment.simulation.open_loop import Track, simulate_stretches, tip_positions
 from sdpid.experiment.simulation.sensitivities import sensitivities
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
@@ -364,7 +363,7 @@ def test_what_does_not_fit_is_told_before_the_simulation() -> None:
         ((law,), {"differenced": True}, "set control_hz"),
         ((law,), {"step": -1.0}, "step is -1.0"),
         ((law,), {"step": "long"}, "step is 'long'"),
-        ((law,), {"start": ([0.0], [0.0])}, "start: shapes"),
+        ((law,), {"start": ([0.0], [0.0])}, "start: has shape"),
     ):
         refuses(DataError, message, moved, *arguments, **options)
 
@@ -514,7 +513,7 @@ def test_what_cannot_be_fitted_is_told_before():
     names = ("time", "position", "effort", "reference")
     short = sdpid.Recording(**{name: getattr(log, name)[:400] for name in names})
     for log_, options, words in (
-        (log, {"kind": "lqr"}, "'lqr' is not known; known are p, pd"),
+        (log, {"kind": "lqr"}, "lqr is not known; known are p, pd"),
         (replace(log, reference=None), {}, "no commanded positions"),
         (replace(log, currents=True), {}, "efforts are currents in A"),
         (log, {"cutoff_hz": 400.0}, "expected at most 50 Hz"),

@@ -19,8 +19,8 @@ from scipy.interpolate import BSpline
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.curve import Curve, SampledCurve, Spline
+from sdpid.experiment.trajectory.drawn import paper_excitation
 from sdpid.experiment.trajectory.fourier import FourierSeries
-from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.experiment.trajectory.reading import between_rests, read_trajectory
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from tests.helpers.refusals import refuses

@@ -282,7 +282,7 @@ def test_limits_and_filters_of_actuators(legs, tmp_path, joint, actuators, says)
         ("", ["--law", "pd", "--kp", "20"], "kd is missing"),
         ("", ["--law", "nowhere.toml"], "is no file, and no law but pd is known"),
         ('kd = 1\ndelay = "5"\n', ["--law", "{file}"], "delay is '5'; give seconds from 0 to 0.1"),
-        ("kp = 20\nki = 3\n", ["--law", "{file}"], "ki is unknown; there are kp, kd, delay"),
+        ("kp = 20\nki = 3\n", ["--law", "{file}"], "ki is not known; known are kp, kd, delay"),
         ("[kp]\nlhip = 20\n", ["--law", "{file}"], "kp has not the joints of"),
         ("kd = [1, 1, 1]\n", ["--law", "{file}"], "gains of 3 joints, the robot has 4"),
     ],

@@ -12,9 +12,9 @@ import pytest
 import sdpid
 from sdpid.assurance.diagnostics.causes import joint_errors
 from sdpid.errors import DataError
-from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.preparation.prepare import agreed, chosen_processing, prepare, samples_of
 from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.trajectory.drawn import default_motion
 from sdpid.plots.lines import TimeLine
 from sdpid.workflow.formulate import CrossValidation, formulate
 from sdpid.workflow.result import Identification

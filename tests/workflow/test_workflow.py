@@ -150,7 +150,7 @@ NO_EFFECTS = "effects: is .*'auto', 'none' or some of tilt"
         ({"friction": 3}, "friction: is 3"),
         ({"processing": {"cutoff_hz": "10"}}, "cutoff_hz: is '10'"),
         ({"processing": {"order": "2"}}, "order: is '2'"),
-        ({"processing": {"cutoff": 10.0, "order": 2}}, "has no setting cutoff;.*cutoff_hz"),
+        ({"processing": {"cutoff": 10.0, "order": 2}}, "cutoff is no setting;.*cutoff_hz"),
         ({"processing": "fast"}, "processing: is 'fast'"),
         *(({"effects": effects}, NO_EFFECTS) for effects in (True, None, 3)),
         *(({name: 3}, f"^{name}: is ") for name in ("constraints", "validation", "without_effort")),

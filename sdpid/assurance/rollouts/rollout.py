@@ -42,11 +42,10 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.joints import match_joints, require_fixed_base
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.arm import SimulatedArm, Track, simulate_stretches, tip_positions
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.controllers import PD, Controller
 from sdpid.experiment.simulation.law import CommandedMotion, under_law
-from sdpid.experiment.simulation.open_loop import Track, simulate_stretches, tip_positions
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 

@@ -42,13 +42,13 @@ from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.expected.expected import NORMAL, Band, Duration, Expected
 from sdpid.excitation.expected.open_directions import States, open_directions
 from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.preparation.prepare import friction_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.curve import is_closed
+from sdpid.experiment.trajectory.drawn import default_motion
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.friction.model import FrictionModel

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen, real_array, require_probability, shaped
-from sdpid._common.files import Source, atomic_write_text, load_toml, printable
+from sdpid._common.files import Source, atomic_write_text, load_toml, printable, require_known
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 
@@ -202,7 +202,8 @@ class DriveGains(Shown):
         if missing:
             raise DataError(
                 f"gains: none for {', '.join(missing)}; there are gains for "
-                f"{', '.join(self.joint_names)}."
+                f"{', '.join(self.joint_names)}. Leave columns without a gain out "
+                "(joint_names, --joint-names), or name the joints alike."
             )
         return self.picked(list(map(self.joint_names.index, joint_names)), joint_names)
 
@@ -318,10 +319,7 @@ class DriveGains(Shown):
             raise DataError(f"{path}: unit is {unit!r}, expected '{_UNIT}'.")
         if missing := [key for key in _KEYS[:2] if key not in table]:
             raise DataError(f"{path}: no {' and no '.join(missing)}; it is no file of gains.")
-        if unknown := sorted(set(table) - set(_KEYS)):
-            raise DataError(
-                f"{path}: {', '.join(unknown)} is not known; known are unit, {', '.join(_KEYS)}."
-            )
+        require_known(table, ("unit", *_KEYS), str(path))
         try:
             return cls(**table)._from(Source.of(Path(path)))
         except (DataError, TypeError) as cause:

@@ -16,19 +16,14 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.inspection.block_fit import SURE, BlockFit, block_fit, sure_part
-from sdpid.experiment.inspection.delays import (
-    LEAST_RATE,
-    imu_against_pose,
-    middle,
-    rms,
-    without_delays,
-)
+from sdpid.experiment.inspection.delays import LEAST_RATE, imu_against_pose, rms, without_delays
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, refuse, vector, warning
-from sdpid.experiment.inspection.standing import SLOPES, smoother, turning
+from sdpid.experiment.inspection.rows import SLOPES, smoother, turning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.processing.filters import correlated
-from sdpid.experiment.recording.floating import Imu
+from sdpid.experiment.recording.floating import BaseMotion, Imu
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import middle
 from sdpid.robot.inertia import skew
 from sdpid.robot.model.jacobians import frame_places
 from sdpid.robot.model.model import RobotModel
@@ -188,7 +183,7 @@ def _signed_axes() -> Iterator[tuple[str, Array, bool]]:
 
 
 def _evidence(
-    log: Recording, turns: Rotation, feet: tuple[Indices, Array] | None
+    base: BaseMotion, step: float, turns: Rotation, feet: tuple[Indices, Array] | None
 ) -> dict[str, float]:
     """Return how badly an orientation agrees with what else was measured; only what there is.
 
@@ -196,14 +191,12 @@ def _evidence(
     the angle between the mean specific force and the world's upward axis, rad, ``"above"`` the
     share of feet that are down and above the base's origin, of all times.
     """
-    base, seen = log.base, {}
-    assert base is not None
-    force, turned = base.sensed("accelerometer"), base.angular_velocity
+    seen, force, turned = {}, base.sensed("accelerometer"), base.angular_velocity
     if turned is not None and base.velocity_frame == "world":
         turned = turns.inv().apply(np.array(turned))
     shown = [each for each in (base.sensed("gyroscope"), turned) if each is not None]
-    means = [_window_means(each, log.step) for each in shown]
-    wanted = _turn_rates(turns, log.step)
+    means = [_window_means(each, step) for each in shown]
+    wanted = _turn_rates(turns, step)
     # Of a base that hardly turns rates say nothing.
     if shares := [_unexplained(each, wanted) for each in means if rms(each) >= LEAST_RATE]:
         seen["rates"] = min(shares)
@@ -228,12 +221,9 @@ def _feet_in_base(log: Recording, robot: RobotModel | None) -> tuple[Indices, Ar
     return np.broadcast_to(rows[:, None], down.shape)[down], places[down]
 
 
-@check
-def orientation(subject: Subject) -> Iterator[Finding]:
+@check("longest", "base")
+def orientation(subject: Subject, log: Recording, base: BaseMotion) -> Iterator[Finding]:
     """Find quaternions in another order, or turned around."""
-    if subject.based is None:
-        return
-    log, base = subject.based
     turns, rolled = _turns(base.orientation), _turns(np.roll(base.orientation, -1, axis=1))
     readings = {
         "in the order w x y z": rolled,
@@ -241,14 +231,14 @@ def orientation(subject: Subject) -> Iterator[Finding]:
         "the inverse, in the order w x y z": rolled.inv(),
     }
     feet = _feet_in_base(log, subject.floating)
-    given = _evidence(log, turns, feet)
+    given = _evidence(base, log.step, turns, feet)
     wrong = {name: seen > _EVIDENCE[name][0] for name, seen in given.items()}
     if not any(wrong.values()):
         return
     # What is right agrees with all that there is, and better than the orientation.
     right = []
     for name, turns in readings.items():
-        seen = _evidence(log, turns, feet)
+        seen = _evidence(base, log.step, turns, feet)
         agrees = all(seen[each] <= _EVIDENCE[each][1] for each in seen)
         if agrees and any(seen[each] * _BETTER < given[each] for each in seen):
             right.append(name)
@@ -263,13 +253,10 @@ def orientation(subject: Subject) -> Iterator[Finding]:
         yield found("base_orientation", **told, **numbers)
 
 
-@check
-def imu_channels(subject: Subject) -> Iterator[Finding]:
+@check("longest", "base", "imu")
+def imu_channels(subject: Subject, log: Recording, base: BaseMotion, imu: Imu) -> Iterator[Finding]:
     """Find sensors with other axes or units, that measure something else, or never change."""
-    based = subject.based
-    if based is None or (imu := based[1].imu) is None:
-        return
-    log, turns = based[0], _turns(based[1].orientation)
+    turns = _turns(base.orientation)
     for sensor, values in imu.channels.items():
         if not np.any(np.ptp(values, axis=0)):
             what = f" never changes: it is {vector(values[0])} in every row"
@@ -344,14 +331,10 @@ def _accelerometer(turns: Rotation, imu: Imu, values: Array) -> Iterator[Finding
     yield found("imu_accelerometer", what=what, remedy=remedy, **numbers)
 
 
-@check
-def base_velocities(subject: Subject) -> Iterator[Finding]:
+@check("longest", "base")
+def base_velocities(subject: Subject, log: Recording, base: BaseMotion) -> Iterator[Finding]:
     """Find velocities of the base in other axes than stated, or in other units."""
-    if subject.based is None:
-        return
-    log, base = subject.based
-    step = log.step
-    turns, compared = _turns(base.orientation), []
+    turns, compared, step = _turns(base.orientation), [], log.step
     if base.linear_velocity is not None and base.position is not None:
         rates = _window_means(np.gradient(base.position, step, axis=0), step)
         compared.append(("linear velocity", "position", _LEAST_SPEED, base.linear_velocity, rates))
@@ -378,19 +361,18 @@ def _pull(subject: Subject) -> Array:
     return np.array([0.0, 0.0, -GRAVITY]) if robot is None else np.asarray(robot.gravity)
 
 
-@check
-def contacts_missing(subject: Subject) -> Iterator[Finding]:
+@check("longest", "base")
+def contacts_missing(subject: Subject, log: Recording, base: BaseMotion) -> Iterator[Finding]:
     """Find a robot that stands or walks while no contact is recorded as closed."""
     pull = _pull(subject)
     gravity = float(np.linalg.norm(pull))
-    if subject.based is None or gravity == 0.0:
+    if gravity == 0.0:
         return
-    log, _ = subject.based
     closed = np.zeros((log.n_samples, 1)) if log.contacts is None else log.contacts.closed
     in_air = ~np.any(closed, axis=1)
     edges = np.flatnonzero(np.diff(np.pad(in_air.astype(np.int8), 1))).reshape(-1, 2).tolist()
     runs = [slice(a, b) for a, b in edges if (b - a) * log.step >= _LEAST_TIME]
-    felt = [_specific_force(log, run, -pull / gravity, gravity) for run in runs]
+    felt = [_specific_force(base.rows(run), log.step, -pull / gravity, gravity) for run in runs]
     counts = [run.stop - run.start for run in runs]
     share = sum(counts) / log.n_samples
     known = [each for each in felt if each is not None]
@@ -405,11 +387,9 @@ def contacts_missing(subject: Subject) -> Iterator[Finding]:
         yield found("contacts_missing", said=said, **numbers)
 
 
-def _specific_force(log: Recording, run: slice, up: Array, gravity: float) -> float | None:
+def _specific_force(base: BaseMotion, step: float, up: Array, gravity: float) -> float | None:
     """Return the mean specific force upward, m/s², of what there is; None of nothing."""
-    assert log.base is not None
-    base = log.base.rows(run)
-    time, turns = log.step * np.arange(base.n_samples), _turns(base.orientation)
+    time, turns = step * np.arange(base.n_samples), _turns(base.orientation)
     if (sensed := base.sensed("accelerometer")) is not None:
         return float(turns.apply(sensed).mean(axis=0) @ up)
     if (velocity := base.linear_velocity) is not None:
@@ -549,13 +529,10 @@ def _second(values: Array, step: float) -> Array:
     return correlated(values, SLOPES.second) / step**2
 
 
-@check
-def imu(subject: Subject) -> Iterator[Finding]:
+@check("longest", "imu")
+def imu(subject: Subject, log: Recording, given: Imu) -> Iterator[Finding]:
     """Find an IMU that sits elsewhere, is turned, or whose sensors have biases or scales."""
-    given = None if subject.based is None else subject.based[1].imu
-    if given is None:
-        return
-    log = middle(subject.longest, _READ)
+    log = log.rows(middle(log.n_samples, _READ))
     late = imu_against_pose(log, axes=False)
     if late is not None and late.sure(_LATE, SURE):
         log = without_delays(log, {"imu": late})

@@ -16,19 +16,12 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.kinds import (
-    KINDS,
-    Finding,
-    found,
-    left_out,
-    note,
-    refuse,
-    warning,
-)
+from sdpid.experiment.inspection.kinds import KINDS, Finding, found, left_out, note, refuse, warning
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.processing.motion import motion_frequency, power_density
 from sdpid.experiment.recording.plausible import moving
-from sdpid.experiment.recording.stored import ROWS, extremes
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import ROWS, extremes, middle
 
 _STAYS = " of {joint} stays at {value:.4g} from {begin:.4g} to {end:.4g} s (rows {row} to {last})"
 _LEAVE = "leave those rows out"
@@ -343,7 +336,7 @@ def silent(subject: Subject) -> list[Finding]:
     return told if len(told) < np.count_nonzero(moves) else []
 
 
-@check
+@check()
 def signals(subject: Subject) -> Iterator[Finding]:
     """Find efforts that never change."""
     low, high = extremes(subject.log.effort)
@@ -353,15 +346,15 @@ def signals(subject: Subject) -> Iterator[Finding]:
             yield found("effort_constant", name, value=low[j])
 
 
-@check
+@check()
 def clipped(subject: Subject) -> Iterator[Finding]:
     """Find efforts and velocities that stop at a largest value while the joint moves."""
     log, moves = subject.log, np.flatnonzero(moving(*subject.log.position_range)).tolist()
-    begin = max(0, (log.n_samples - _COMPARED) // 2)
+    compared = middle(log.n_samples, _COMPARED)
     for quantity, severity in (("effort", None), ("velocity", subject.about_velocity)):
         table = getattr(log, quantity)
         for j in moves if table is not None else ():
-            values, ends = np.asarray(table[begin : begin + _COMPARED, j]), {}
+            values, ends = np.asarray(table[compared, j]), {}
             for end in (1.0, -1.0):
                 limit = end * float((end * values).max())
                 rows = _plateaus(values, limit)
@@ -406,12 +399,9 @@ def _plateaus(values: Array, limit: float) -> int:
     return int(lengths.sum()) if lengths.sum() >= _AS_LONG * beside else 0
 
 
-@check
-def noisy_efforts(subject: Subject) -> Iterator[Finding]:
+@check("longest")
+def noisy_efforts(subject: Subject, piece: Recording) -> Iterator[Finding]:
     """Find efforts of moving joints whose power lies far above the band of the motion."""
-    if not subject.pieces:
-        return
-    piece = subject.longest
     try:
         band = max(_BAND * motion_frequency(piece), _LEAST_BAND)
     except DataError:

@@ -18,11 +18,13 @@ from sdpid.experiment.inspection.delays import (
     lag,
 )
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, warning
-from sdpid.experiment.inspection.rows import FilteredRows, follows, friction
+from sdpid.experiment.inspection.rows import FilteredRows, friction
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
-from sdpid.experiment.processing.on_time import CHANNELS
+from sdpid.experiment.processing.process import CHANNELS
 from sdpid.experiment.recording.joints import FOLLOWS, two_encoders, unlike
 from sdpid.experiment.recording.plausible import moving
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
 
 _LATE = partial(warning, "{what}", "{remedy}", about="late")
 KINDS.update(
@@ -73,19 +75,17 @@ def _late(delay: float) -> str:
     return "late" if delay > 0.0 else "early"
 
 
-@check
-def late_velocities(subject: Subject) -> Iterator[Finding]:
+@check("low_passed")
+def late_velocities(subject: Subject, rows: FilteredRows) -> Iterator[Finding]:
     """Find recorded velocities that are late, or early, against the rate of the positions."""
-    rows = subject.low_passed
-    if rows is None or rows.recorded_velocity is None:
-        return
-    limit, lags = max(_LEAST_DELAY, _LEAST_STEPS * rows.step), {}
-    for j in np.flatnonzero(moving(*subject.log.position_range)).tolist():
-        signals = (rows.recorded_velocity, rows.velocity, rows.acceleration)
-        fit = follows(*(each[:, j] for each in signals))
-        # Another signal has no delay.
-        if fit["correlation"] > _CORRELATED and abs(fit["lag"]) >= limit:
-            lags[subject.log.names[j]] = -fit["lag"]
+    limit = max(_LEAST_DELAY, _LEAST_STEPS * rows.step)
+    moves = moving(*subject.log.position_range)
+    # Another signal has no delay.
+    lags = {
+        name: -fit["lag"]
+        for name, own, fit in zip(subject.log.names, moves, rows.velocity_fits, strict=False)
+        if own and fit["correlation"] > _CORRELATED and abs(fit["lag"]) >= limit
+    }
     if lags:
         worst = max(lags.values(), key=abs)
         joint = next(iter(lags)) if len(lags) == 1 else None
@@ -94,14 +94,12 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
         yield found("velocity_late", joint, subject.about_velocity, **words, **numbers)
 
 
-@check
-def late_links(subject: Subject) -> Iterator[Finding]:
+@check("longest")
+def late_links(subject: Subject, log: Recording) -> Iterator[Finding]:
     """Find encoders at links that are late against those of motors, or follow other joints."""
-    if subject.log.link_position is None or not subject.pieces:
+    if log.link_position is None:
         return
-    log = subject.longest
     both = two_encoders(log)
-    assert log.link_position is not None  # pieces have what the recording has
     rows = slice(0, _READ)
     motor, link = np.asarray(log.position[rows]), np.asarray(log.link_position[rows])
     moves = moving(*subject.log.position_range)
@@ -122,28 +120,22 @@ def late_links(subject: Subject) -> Iterator[Finding]:
         f"{1e3 * delay.error:.2g} ms) against those at motors: that explains "
         f"{100.0 * share:.3g} % of what lies between them, which is then no elasticity"
     )
-    rows_of_speed, speed = subject.low_passed, ""
-    if rows_of_speed is not None and rows_of_speed.recorded_velocity is not None:
-        signals = (rows_of_speed.recorded_velocity, rows_of_speed.velocity)
-        fits = [
-            follows(*(each[:, j] for each in (*signals, rows_of_speed.acceleration)))["lag"]
-            for j in np.flatnonzero(both).tolist()
-        ]
-        size = -float(np.median(fits))
+    speed, fits = "", subject.low_passed.velocity_fits if subject.low_passed else []
+    if fits:
+        size = -float(np.median([fits[j]["lag"] for j in np.flatnonzero(both)]))
         speed = f"; the recorded velocity is {_late(size)} by {1e3 * abs(size):.2g} ms"
     remedy = f"identify_elasticity takes this delay off by itself{speed}"
     numbers = {"delay": late, "error": delay.error, "share": share}
     yield found("link_late", what=what, remedy=remedy, **numbers)
 
 
-@check_of_efforts
-def late_efforts(subject: Subject) -> Iterator[Finding]:
+@check_of_efforts("low_passed", "fixed")
+def late_efforts(subject: Subject, rows: FilteredRows, robot: RobotModel) -> Iterator[Finding]:
     """Find efforts that are late, or early, against the motion: of all joints, or late ones of few.
 
     Of a single joint most is taken for friction or inertia: no more is told than that it is late.
     """
-    rows, robot = subject.low_passed, subject.fixed
-    if robot is None or robot.n_base or rows is None or subject.closed:
+    if robot.n_base or subject.closed:
         return
     Y = robot.regressor(rows.position, rows.velocity, rows.acceleration)
     delays = effort_delays(rows, Y)
@@ -217,11 +209,11 @@ def effort_delays(rows: FilteredRows, links: Array) -> dict[int, tuple[float, fl
     return delays
 
 
-@check_of_efforts
+@check_of_efforts()
 def late_channels(subject: Subject) -> Iterator[Finding]:
     """Find channels of a recording with a base that are late, or early, against the joints."""
     robot, log = subject.floating, subject.log
-    if log.base is None or not subject.pieces or subject.closed:
+    if subject.base is None or subject.closed:
         return
     if subject.corrected is not None and subject.corrected.steps:
         return  # With a wrong sign or order nothing can be said of delays.

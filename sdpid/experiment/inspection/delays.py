@@ -20,17 +20,17 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import SdpidError
 from sdpid.experiment.inspection.block_fit import beyond, block_error, orthonormal, pooled
-from sdpid.experiment.inspection.standing import MEMORIES, Standing, on_legs, smoother, turning
+from sdpid.experiment.inspection.rows import MEMORIES, Standing, on_legs, smoother, turning
 from sdpid.experiment.processing.base import into_body
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.contact_samples import TRANSMITS, ContactSamples
 from sdpid.experiment.processing.filters import BAND_OVER_RATE
-from sdpid.experiment.processing.on_time import on_time
-from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.process import on_time, process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import middle
 from sdpid.robot.model.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
@@ -542,7 +542,7 @@ def channel_delays(
     piece = max(continuous(log)[0], key=lambda each: each.n_samples)
     if piece.base is None or piece.n_samples < _LEAST_SAMPLES:
         return {}
-    has_imu, piece = piece.base.imu is not None, middle(piece, _READ)
+    has_imu, piece = piece.base.imu is not None, piece.rows(middle(piece.n_samples, _READ))
     found: dict[str, Delay] = {}
     more = {name: max(each, _BEYOND_STEPS * log.step) for name, each in _BEYOND.items()}
 
@@ -577,9 +577,3 @@ def channel_delays(
         return {}
     most = max(_UNKNOWN, _UNKNOWN_STEPS * log.step)
     return {name: each for name, each in found.items() if each.error < most}
-
-
-def middle(log: Recording, most: int) -> Recording:
-    """Return at most so many samples of a recording, from its middle."""
-    first = max(0, (log.n_samples - most) // 2)
-    return log.rows(slice(first, first + most)) if first else log

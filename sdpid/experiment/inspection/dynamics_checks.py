@@ -161,16 +161,17 @@ def placeholders(robot: RobotModel) -> bool:
     return len(bodies) > 2 and 2 * int(counts.max()) > len(bodies)
 
 
-@check_of_efforts
-def of_another_size(subject: Subject) -> Iterator[Finding]:
+@check_of_efforts("corrected", "low_passed", "fixed")
+def of_another_size(
+    subject: Subject, log: ExplainedLog, rows: FilteredRows, robot: RobotModel
+) -> Iterator[Finding]:
     """Find joints whose effort is far below what the description's bodies need, mean included.
 
     Such efforts need not follow the motion: a lift carries its load at a steady force. Not told
     where half of the joints are such, where a joint's scale is known, or where what makes the
     efforts follow from the motion makes them large enough.
     """
-    log, rows, robot = subject.corrected, subject.low_passed, subject.fixed
-    if log is None or rows is None or robot is None or placeholders(robot):
+    if placeholders(robot):
         return
     rigid = robot.described_efforts(rows.position, rows.velocity, rows.acceleration)
     need, has, needs, gives = (
@@ -188,7 +189,7 @@ def of_another_size(subject: Subject) -> Iterator[Finding]:
             yield found("effort_small", name, unit="N" if robot.slides[j] else "N.m", **numbers)
 
 
-@check_of_efforts
+@check_of_efforts()
 def not_compared(subject: Subject) -> Iterator[Finding]:
     """Say where efforts cannot be compared: of a free base, and of a description without masses."""
     give = ""
@@ -206,7 +207,7 @@ def not_compared(subject: Subject) -> Iterator[Finding]:
     yield found("effort_not_compared", lacks=lacks, give=give)
 
 
-@check
+@check()
 def left_out_of_the_model(subject: Subject) -> Iterator[Finding]:
     """Tell what acts on joints by the description, and is not in the model."""
     for kind in ("forces", "actuators"):
@@ -216,12 +217,9 @@ def left_out_of_the_model(subject: Subject) -> Iterator[Finding]:
             yield found(f"{kind}_ignored", what=f"{', '.join(names[:_NAMED])}{more}")
 
 
-@check_of_efforts
-def wrong_channels(subject: Subject) -> Iterator[Finding]:
+@check_of_efforts("corrected")
+def wrong_channels(subject: Subject, log: ExplainedLog) -> Iterator[Finding]:
     """Find wrong signs, zeros and orders of columns: what must be changed to make efforts fit."""
-    log = subject.corrected
-    if log is None:
-        return
     steps: dict[Any, CorrectionStep] = {}
     for step in log.steps:
         kind, _, value = step.change
@@ -236,12 +234,9 @@ def wrong_channels(subject: Subject) -> Iterator[Finding]:
         yield _finding(log, step)
 
 
-@check_of_efforts
-def scales_and_shares(subject: Subject) -> Iterator[Finding]:
+@check_of_efforts("corrected")
+def scales_and_shares(subject: Subject, log: ExplainedLog) -> Iterator[Finding]:
     """Find efforts of the wrong scale, or that the description does not explain at all."""
-    log = subject.corrected
-    if log is None:
-        return
     told = list(scales(log))
     yield from told
     carries = log.borne > _CARRIES * log.borne.max(initial=0.0)

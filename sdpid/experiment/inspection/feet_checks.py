@@ -9,7 +9,7 @@ them, so that errors of the description are not taken for wrong forces.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -27,8 +27,9 @@ from sdpid.experiment.inspection.kinds import (
     vector,
     warning,
 )
-from sdpid.experiment.inspection.standing import Standing
+from sdpid.experiment.inspection.rows import Standing
 from sdpid.experiment.inspection.subject import Subject, check, check_of_efforts
+from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.inertia import skew
 from sdpid.robot.model.jacobians import contact_jacobians, frame_axes, frame_places
 from sdpid.robot.model.model import RobotModel
@@ -129,17 +130,14 @@ def _motion(
     return moved[:, :, :3], moved[:, :, 3:], late
 
 
-@check
-def feet(subject: Subject) -> Iterator[Finding]:
+@check("standing")
+def feet(subject: Subject, standing: Standing) -> Iterator[Finding]:
     """Find contacts with the flags of other feet, that move, or whose frame or point is elsewhere.
 
     Of feet with each other's flags there is no other finding.
     """
     from scipy.optimize import linear_sum_assignment
 
-    standing = subject.standing
-    if standing is None:
-        return
     names, down = standing.contacts.frames, standing.stands
     motion = _motion(standing, names, standing.contacts.offset)
     # Mean squares of each foot's speed while the flag of each is down.
@@ -323,7 +321,7 @@ _LEFT, _LEFT_BY_SOLES = 0.001, 0.03
 _APART, _ONE_APART = 0.02, 0.04
 
 
-@check
+@check()
 def measured_forces(subject: Subject) -> Iterator[Finding]:
     """Find forces that never change of feet that are down, and flags that deny forces."""
     contacts, robot = subject.log.contacts, subject.floating
@@ -351,25 +349,22 @@ def _weight(robot: RobotModel) -> float:
     return float(robot.prior[:, 0].sum() * np.linalg.norm(robot.gravity))
 
 
-def _explained_log(subject: Subject) -> ExplainedLog | None:
-    """Return the rows of a recording whose efforts are N·m, and explained as they are.
+def _is_explained(log: ExplainedLog) -> bool:
+    """Return whether efforts of legs are N·m, and explained as they are.
 
     Wrong flags are no matter of efforts.
     """
-    log = subject.corrected
-    if log is None or log.contacts is None:
-        return None
-    if any(step.change.kind not in _OF_FLAGS for step in log.steps):
-        return None
+    if log.contacts is None or any(step.change.kind not in _OF_FLAGS for step in log.steps):
+        return False
     common = log.gains.common
-    return log if common is None or 1.0 / _OTHER_UNIT < common < _OTHER_UNIT else None
+    return common is None or 1.0 / _OTHER_UNIT < common < _OTHER_UNIT
 
 
-@check_of_efforts
-def total_mass(subject: Subject) -> Iterator[Finding]:
+@check_of_efforts("corrected")
+def total_mass(subject: Subject, log: ExplainedLog) -> Iterator[Finding]:
     """Find torques that carry another mass than the description's, or than the robot's."""
-    log = _explained_log(subject)
-    if log is None or log.steps or not log.explained or log.scale != 1.0 or not log.bears_base:
+    told = _is_explained(log) and log.explained and log.bears_base
+    if log.steps or log.scale != 1.0 or not told:
         return
     described = float(log.robot.prior[:, 0].sum())
     mass, said, means, limit = described, "of the description", "a load, or another", _MASS_APART
@@ -383,10 +378,12 @@ def total_mass(subject: Subject) -> Iterator[Finding]:
     yield found("total_mass", means=means, share=share, error=error, **weight, **limits)
 
 
-@check_of_efforts
-def forces(subject: Subject) -> Iterator[Finding]:
+@check_of_efforts("floating", "samples", "corrected")
+def forces(
+    subject: Subject, robot: RobotModel, samples: Samples, log: ExplainedLog
+) -> Iterator[Finding]:
     """Find measured forces that are not those that the torques of the legs show."""
-    legs = [] if _explained_log(subject) is None else [*_leg_forces(subject)]
+    legs = [*_leg_forces(robot, samples, subject.without)] if _is_explained(log) else []
     if not legs:
         return
     ratio, error = pooled(*np.transpose([each[1:3] for each in legs]))
@@ -410,7 +407,9 @@ def forces(subject: Subject) -> Iterator[Finding]:
         yield found("forces_unlike_motion", seen="; ".join(seen), **numbers)
 
 
-def _leg_forces(subject: Subject) -> Iterator[tuple[str, float, float, float, float]]:
+def _leg_forces(
+    robot: RobotModel, samples: Samples, unused: Collection[str]
+) -> Iterator[tuple[str, float, float, float, float]]:
     """Compare the forces of the contacts that bear something with torques.
 
     Yield the frame, how many times those that torques show its forces are, with the standard error,
@@ -418,19 +417,15 @@ def _leg_forces(subject: Subject) -> Iterator[tuple[str, float, float, float, fl
     at most. Contacts that share joints with others, or have joints whose effort says nothing, are
     left out.
     """
-    robot, samples = subject.floating, subject.samples
-    contacts = None if samples is None else samples.contacts
-    if robot is None or samples is None or contacts is None:
-        return
     some = np.unique(np.linspace(0, samples.n_samples - 1, _ROWS).astype(np.intp))
     states = (samples.position, samples.velocity, samples.acceleration, samples.effort)
     q, v, a, effort = (each[some] for each in states)
-    contacts = contacts.rows(some)
-    if contacts.forces is None:
+    contacts = samples.contacts and samples.contacts.rows(some)
+    if contacts is None or contacts.forces is None:
         return
     J = contact_jacobians(robot, q, contacts.frames, contacts.offset)
     moved: Mask = np.any(J[..., robot.n_base :], axis=(0, 2))
-    unknown = [name in subject.without for name in robot.joint_names[robot.n_base :]]
+    unknown = [name in unused for name in robot.joint_names[robot.n_base :]]
     own = moved & (moved.sum(axis=0) == 1) & ~np.array(unknown)
     felt = np.sqrt(np.mean(np.sum(contacts.forces[..., :3] ** 2, axis=2), axis=0))
     bearing = (contacts.down.mean(axis=0) >= _OFTEN) | (felt >= _BEARING * _weight(robot))

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from math import isfinite
+from math import inf
 from typing import Any, ClassVar
 
 from sdpid._common.arrays import is_number
@@ -135,9 +135,7 @@ def inspect_recording(
             f"log: is {type(given).__name__} {given!r:.80}; give a Recording, the path of a log or "
             "a data frame."
         )
-    if total_mass is not None and not (
-        is_number(total_mass) and isfinite(total_mass) and total_mass > 0.0
-    ):
+    if total_mass is not None and not (is_number(total_mass) and 0.0 < total_mass < inf):
         raise DataError(
             f"total_mass: is {total_mass!r:.80}; give what the robot weighs, a positive number, kg."
         )

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refuse, warning
-from sdpid.experiment.inspection.rows import follows
+from sdpid.experiment.inspection.rows import FilteredRows, follows
 from sdpid.experiment.inspection.subject import Subject, check
-from sdpid.experiment.recording.clock import told_clock
-from sdpid.experiment.recording.gaps import MAX_GAP_STEPS
+from sdpid.experiment.recording.gaps import MAX_GAP_STEPS, told_clock
 from sdpid.experiment.recording.plausible import AT_REST, moving, suspect_units
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import middle
 
 KINDS.update(
     units=note("{note}"),
@@ -149,7 +149,7 @@ _OFFSET = 0.1
 _EARLIEST = -0.02
 
 
-@check
+@check()
 def units_of_time(subject: Subject) -> Iterator[Finding]:
     """Say where the unit of time was inferred, and find rates of no robot's logger."""
     log, rate, rows = subject.log, subject.log.rate_hz, subject.low_passed
@@ -189,11 +189,11 @@ def _read_as_seconds(rate: float) -> tuple[str, str]:
     return f"the stamps {certain} in {words}", f"give the unit: {' or '.join(units)}"
 
 
-@check
+@check()
 def jitter_and_losses(subject: Subject) -> Iterator[Finding]:
     """Find stamps off a regular clock, and samples that were lost."""
-    log = subject.log
-    steps = np.diff(np.asarray(log.time[_middle(log)])) / log.step
+    log, part = subject.log, middle(subject.log.n_samples, _COMPARED)
+    steps = np.diff(np.asarray(log.time[part])) / log.step
     jitter = float(np.sqrt(np.mean((steps - np.rint(steps)) ** 2)))
     if jitter > _JITTER:
         yield found("jitter", jitter=jitter, step=log.step, limit=_JITTER)
@@ -205,7 +205,7 @@ def jitter_and_losses(subject: Subject) -> Iterator[Finding]:
         yield found("lost_samples", lost=lost, all=every, share=lost / every, limit=_LOST)
 
 
-@check
+@check()
 def jitter_of_reading(subject: Subject) -> Iterator[Finding]:
     """Find regular stamps of rows that were read at other times, which speeds tell."""
     if (clock := told_clock(subject.log)) is not None:
@@ -214,10 +214,10 @@ def jitter_of_reading(subject: Subject) -> Iterator[Finding]:
         yield found("clock_jitter", joints=names, **numbers)
 
 
-@check
+@check()
 def repeated_rows(subject: Subject) -> Iterator[Finding]:
     """Find rows that repeat the row before, as loggers write that run faster than the robot."""
-    log, part = subject.log, _middle(subject.log)
+    log, part = subject.log, middle(subject.log.n_samples, _COMPARED)
     values = np.hstack([np.asarray(log.position[part]), np.asarray(log.effort[part])])
     changed = np.flatnonzero((values[1:] != values[:-1]).any(axis=1))
     runs = np.diff(changed, prepend=-1, append=len(values) - 1) - 1
@@ -227,13 +227,7 @@ def repeated_rows(subject: Subject) -> Iterator[Finding]:
         yield found("repeated_rows", rows=repeats, all=len(values), share=share, limit=_REPEATED)
 
 
-def _middle(log: Recording) -> slice:
-    """Return the rows that are looked at."""
-    begin = max(0, (log.n_samples - _COMPARED) // 2)
-    return slice(begin, begin + _COMPARED)
-
-
-@check
+@check()
 def degrees(subject: Subject) -> Iterator[Finding]:
     """Find positions in degrees."""
     robot = subject.fixed
@@ -243,7 +237,7 @@ def degrees(subject: Subject) -> Iterator[Finding]:
         yield found("position_in_degrees", seen=f": {', '.join(suspects)}", mended="")
 
 
-@check
+@check()
 def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
     """Find joints that never move, and positions that jump."""
     low, high = subject.log.position_range
@@ -275,12 +269,9 @@ def _fastest_step(piece: Recording, j: int) -> tuple[float, float, float]:
     return float(speeds[k]), float(steps[rows[k]]), float(time[rows[k] + 1])
 
 
-@check
-def directions_and_rest(subject: Subject) -> Iterator[Finding]:
+@check("low_passed")
+def directions_and_rest(subject: Subject, rows: FilteredRows) -> Iterator[Finding]:
     """Find joints that move in one direction only, and recordings that mostly stand still."""
-    rows = subject.low_passed
-    if rows is None:
-        return
     names = subject.log.names
     forth, back = (np.maximum(sign * rows.velocity, 0.0).sum(axis=0) for sign in (1.0, -1.0))
     shares = np.minimum(forth, back) / np.maximum(forth + back, 1e-300)
@@ -300,18 +291,12 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
         yield found("long_rest", share=resting, speed=_RESTING, limit=_LONGEST_REST)
 
 
-@check
-def velocities(subject: Subject) -> Iterator[Finding]:
+@check("low_passed")
+def velocities(subject: Subject, rows: FilteredRows) -> Iterator[Finding]:
     """Find velocities that are not the rate of the positions, and stamps that run wrong."""
-    rows = subject.low_passed
-    if rows is None or rows.recorded_velocity is None:
-        return
-    fits = {}
-    for j, name in enumerate(subject.log.names):
-        rate = rows.velocity[:, j]
-        fit = follows(rows.recorded_velocity[:, j], rate, rows.acceleration[:, j])
-        if np.sqrt(np.mean(rate**2)) >= _LEAST_SPEED and fit["correlation"] >= _CORRELATED:
-            fits[name] = fit
+    fast = np.sqrt(np.mean(rows.velocity**2, axis=0)) >= _LEAST_SPEED
+    told = zip(subject.log.names, fast, rows.velocity_fits, strict=False)
+    fits = {name: fit for name, moves, fit in told if moves and fit["correlation"] >= _CORRELATED}
     scales = np.array([fit["scale"] for fit in fits.values()])
     common = float(np.median(scales)) if len(scales) > 1 else 1.0
     share = float(np.mean(np.abs(scales / common - 1.0) < _CLOSE)) if len(scales) else 0.0
@@ -343,15 +328,14 @@ def scale_in_words(scale: float) -> str:
     return f" ({known[0]})" if known else ""
 
 
-@check
-def references(subject: Subject) -> Iterator[Finding]:
+@check("low_passed")
+def references(subject: Subject, rows: FilteredRows) -> Iterator[Finding]:
     """Find references that the positions do not follow.
 
     What a proportional controller lags behind for its effort is accounted for: a slow loop is no
     wrong reference.
     """
-    rows = subject.low_passed
-    if rows is None or rows.recorded_reference is None:
+    if rows.recorded_reference is None:
         return
     motion = list(zip(rows.position.T, rows.velocity.T, rows.effort.T, strict=True))
     wrong, numbers = {}, {}

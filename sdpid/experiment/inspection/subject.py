@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, TypeAlias, TypeVar
+from functools import cached_property, partial, wraps
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.delays import Delay, channel_delays
 from sdpid.experiment.inspection.explain import ExplainedLog, fixed_log, floating_log
 from sdpid.experiment.inspection.kinds import KINDS, Finding, Severity, found, note, refuse
-from sdpid.experiment.inspection.rows import FilteredRows, low_passed
-from sdpid.experiment.inspection.standing import Standing
+from sdpid.experiment.inspection.rows import FilteredRows, Standing, low_passed
 from sdpid.experiment.processing.base import carried
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES, default_processing
 from sdpid.experiment.processing.process import process
@@ -23,7 +22,7 @@ from sdpid.experiment.processing.robot_contacts import with_loops
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.scaled import require_measured
-from sdpid.experiment.recording.floating import BaseMotion
+from sdpid.experiment.recording.floating import BaseMotion, Imu
 from sdpid.experiment.recording.gaps import RETIMED, continuous
 from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
 from sdpid.experiment.recording.recording import Recording
@@ -86,8 +85,7 @@ class Subject:
     def _once(self, key: Any, make: Callable[[], _Made]) -> _Made:
         if key not in self._made:
             self._made[key] = make()
-        made: _Made = self._made[key]
-        return made
+        return cast(_Made, self._made[key])
 
     @property
     def matched(self) -> Recording:
@@ -145,17 +143,19 @@ class Subject:
         return self.continued[0]
 
     @property
-    def longest(self) -> Recording:
-        """The longest of the pieces, of which there must be one."""
-        return max(self.pieces, key=lambda piece: piece.n_samples)
+    def longest(self) -> Recording | None:
+        """The longest of the pieces; None if refused."""
+        return max(self.pieces, key=lambda piece: piece.n_samples, default=None)
 
     @property
-    def based(self) -> tuple[Recording, BaseMotion] | None:
-        """The longest piece of a recording with a base, and its base; None where there is none."""
-        if self.log.base is None or not self.pieces:
-            return None
-        assert self.longest.base is not None
-        return self.longest, self.longest.base
+    def base(self) -> BaseMotion | None:
+        """The motion of the base in the longest piece."""
+        return None if self.longest is None else self.longest.base
+
+    @property
+    def imu(self) -> Imu | None:
+        """What an IMU on the base measured in the longest piece."""
+        return None if self.base is None else self.base.imu
 
     def less(self, times: Array) -> Subject:
         """Return the subject without the rows at some times."""
@@ -188,23 +188,23 @@ class Subject:
     def standing(self) -> Standing | None:
         """When and how feet stand in the longest piece; None where that is not known."""
         robot = self.floating
-        if robot is None or not robot.free_flyer or not self.pieces:
+        if robot is None or not robot.free_flyer or self.longest is None:
             return None
         return Standing.of(robot, self.longest)
 
     @cached_property
     def samples(self) -> Samples | None:
         """Samples of the longest piece of a recording with a base, or None."""
-        robot = self.floating
-        if robot is None or not self.pieces or self.log.n != robot.n - robot.n_base:
+        robot, piece = self.floating, self.longest
+        if robot is None or piece is None or self.log.n != robot.n - robot.n_base:
             return None
-        contacts = self.longest.contacts
+        contacts = piece.contacts
         measured = contacts is not None and contacts.measured is not None
         changes = {"contact_force_std": 1.0} if measured else {}
         try:
             if not (measured or self.closed or len(self.pieces) > 1):
                 return self.processed()
-            return process(self.longest, changes, gravity=robot.gravity.tolist(), progress=False)
+            return process(piece, changes, gravity=robot.gravity.tolist(), progress=False)
         except SdpidError:
             return None
 
@@ -274,13 +274,30 @@ CHECKS: list[Check] = []
 OF_EFFORTS: list[Check] = []
 
 
-def check(function: Check) -> Check:
-    """Add a function to the checks of `inspect_recording`."""
-    CHECKS.append(function)
-    return function
+def check(
+    *needs: str, checks: list[Check] = CHECKS
+) -> Callable[[Callable[..., Iterator[Finding]]], Check]:
+    """Return what adds a function to the checks of `inspect_recording`.
+
+    It is called with the subject, and with those of its attributes that it needs, unless one of
+    them is None.
+    """
+
+    def added(function: Callable[..., Iterator[Finding]]) -> Check:
+        @wraps(function)
+        def run(subject: Subject) -> Iterator[Finding]:
+            needed: list[Any] = []
+            for name in needs:
+                if (value := getattr(subject, name)) is None:
+                    return
+                needed.append(value)
+            yield from function(subject, *needed)
+
+        checks.append(run)
+        return run
+
+    return added
 
 
-def check_of_efforts(function: Check) -> Check:
-    """Add a function to the checks of efforts against the motion."""
-    OF_EFFORTS.append(function)
-    return function
+# Of efforts against the motion.
+check_of_efforts = partial(check, checks=OF_EFFORTS)

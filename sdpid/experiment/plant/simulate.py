@@ -6,7 +6,6 @@ import csv
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,14 +16,14 @@ from sdpid._common.extras import require
 from sdpid._common.files import load_toml, read_regular
 from sdpid._common.progress import progress as progress_bar
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.closed_loop import LONGEST_STEP, simulate_closed_loop
 from sdpid.experiment.simulation.controllers import P, keep_per_joint
+from sdpid.experiment.trajectory.drawn import default_motion, plant_folder
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
-from sdpid.robot.description.catalog import bundled_folder, bundled_robots
+from sdpid.robot.description.catalog import bundled_robots
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -192,13 +191,6 @@ def load_drives(folder: str | os.PathLike[str]) -> Drives:
         return Drives(**values, unmodeled=None if effects is None else Unmodeled(**effects))
     except TypeError as cause:
         raise DataError(f"{path}: not understood ({cause}).") from None
-
-
-def plant_folder(folder: str | os.PathLike[str]) -> Path:
-    """Return the folder of a bundled robot, or the path as it is."""
-    if isinstance(folder, str) and folder in bundled_robots():
-        return bundled_folder(folder)
-    return Path(folder)
 
 
 def default_parameters(robot: RobotModel) -> Array:

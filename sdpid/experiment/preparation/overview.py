@@ -61,7 +61,9 @@ def overview(
         "rate_hz": matched.rate_hz,
         "jitter_of_a_step": float(np.abs(steps - np.rint(steps)).max()),
         "lost_samples": round(matched.duration / matched.step) + 1 - matched.n_samples,
-        **gaps(matched),
+        "gaps": int(np.count_nonzero(steps > _GAP)),
+        "longest_step_s": matched.stamps.most,
+        "longest_step_row": matched.stamps.row,
         "velocity": None if matched.velocity is None else "measured",
         "reference": None if matched.reference is None else "commanded positions",
         "period_s": matched.period,
@@ -95,20 +97,3 @@ def _joints(recording: Recording, without_effort: Collection[str]) -> list[dict[
         }
         for j, (name, moves) in enumerate(zip(recording.names, motion, strict=True))
     ]
-
-
-def gaps(recording: Recording) -> dict[str, Any]:
-    """Return how many steps are longer than 1.5 nominal ones, and the longest of all.
-
-    Returns
-    -------
-    dict
-        ``gaps``, ``longest_step_s`` and ``longest_step_row``: the row that ends it.
-    """
-    steps = np.diff(recording.time)
-    row = int(np.argmax(steps))
-    return {
-        "gaps": int(np.count_nonzero(steps > _GAP * recording.step)),
-        "longest_step_s": float(steps[row]),
-        "longest_step_row": row + 1,
-    }

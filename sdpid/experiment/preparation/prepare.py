@@ -19,7 +19,7 @@ from sdpid.experiment.inspection.inspect import (
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.subject import Subject
 from sdpid.experiment.processing.choose import with_changes
-from sdpid.experiment.processing.on_time import CHANNELS
+from sdpid.experiment.processing.process import CHANNELS
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.readers.mapping import as_gains

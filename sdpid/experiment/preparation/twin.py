@@ -19,7 +19,7 @@ from sdpid.experiment.preparation.prepare import (
     read_logs,
     require_joint_covariance,
 )
-from sdpid.experiment.processing.pipeline import Pipeline, TooShortError, states_of
+from sdpid.experiment.processing.pipeline import Pipeline, states_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.gaps import continuous
@@ -60,7 +60,8 @@ class Twin:
     logs: tuple[Recording, ...]
     processing: Processing
     measured: Samples
-    _pipelines: tuple[tuple[Pipeline | None, ...], ...]
+    # Of all pieces, one after the other; why, where one is too short.
+    _pipelines: tuple[Pipeline | str, ...]
 
     @classmethod
     def of(
@@ -97,15 +98,13 @@ class Twin:
         subjects = [Subject.of(each, robot) for each in read]
         chosen, _ = chosen_processing(subjects, processing)
         logs = tuple(subject.matched for subject in subjects)
-        pipelines = tuple(
-            tuple(_pipeline(piece, chosen) for piece in continuous(each)[0]) for each in logs
-        )
+        pieces = [piece for each in logs for piece in continuous(each)[0]]
         twin = cls(
             robot=robot,
             logs=logs,
             processing=chosen,
             measured=measured or Samples.join([each.processed(chosen) for each in subjects]),
-            _pipelines=pipelines,
+            _pipelines=tuple(Pipeline.of(piece, chosen) for piece in pieces),
         )
         if measured is not None:
             _require_same(twin, measured)
@@ -116,11 +115,7 @@ class Twin:
 
     @one_thread
     def samples(
-        self,
-        position: Motions,
-        *,
-        velocity: Motions | None = None,
-        effort: Motions | None = None,
+        self, position: Motions, *, velocity: Motions | None = None, effort: Motions | None = None
     ) -> Samples:
         """Process another motion.
 
@@ -177,13 +172,12 @@ class Twin:
 
     def _moved(self, arrays: dict[str, list[Array]]) -> list[tuple[Recording, Pipeline]]:
         """Return the pieces of the recordings with other channels, and how each is processed."""
-        found = []
-        for i, (log, pipelines) in enumerate(zip(self.logs, self._pipelines, strict=True)):
+        pieces: list[Recording] = []
+        for i, log in enumerate(self.logs):
             own: dict[str, Any] = {"velocity": None} | {name: x[i] for name, x in arrays.items()}
-            pieces = continuous(replace(log, **own))[0]
-            pairs = zip(pieces, pipelines, strict=True)
-            found += [(piece, pipeline) for piece, pipeline in pairs if pipeline is not None]
-        return found
+            pieces += continuous(replace(log, **own))[0]
+        pairs = zip(pieces, self._pipelines, strict=True)
+        return [(piece, each) for piece, each in pairs if isinstance(each, Pipeline)]
 
     def _arrays(self, given: Any, name: str) -> list[Array]:
         """Return one checked array (N, n) a recording."""
@@ -204,14 +198,6 @@ class Twin:
         return found
 
 
-def _pipeline(piece: Recording, processing: Processing) -> Pipeline | None:
-    """Return how a piece of a record is processed, None where it is too short."""
-    try:
-        return Pipeline.of(piece, processing)
-    except TooShortError:
-        return None
-
-
 def _spline_velocity(time: Array, position: Array) -> Array:
     """Return the derivative of the cubic splines through positions (N, n)."""
     from scipy.interpolate import CubicSpline
@@ -228,8 +214,7 @@ def _require_same(twin: Twin, measured: Samples) -> None:
             f"recording: the samples have {measured.n} joints, the robot '{twin.robot.name}' has "
             f"{twin.robot.n}."
         )
-    pipelines = [each for own in twin._pipelines for each in own if each is not None]
-    kept = [pipeline.count for pipeline in pipelines]
+    kept = [each.count for each in twin._pipelines if isinstance(each, Pipeline)]
     remedy = (
         "give the recordings that the problem was built of, and the same processing "
         "(processing=sdpid.Processing(...))."

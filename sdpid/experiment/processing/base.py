@@ -59,10 +59,7 @@ def require_finite(log: Recording, processing: Processing) -> None:
 
 
 def with_base(
-    joints: Samples,
-    log: Recording,
-    pipeline: Pipeline,
-    gravity: Sequence[float] = GRAVITY,
+    joints: Samples, log: Recording, pipeline: Pipeline, gravity: Sequence[float] = GRAVITY
 ) -> Samples:
     """Return samples of a floating robot, made of those of its joints.
 
@@ -288,10 +285,7 @@ def base_limit(base: BaseMotion, rate_hz: float, share: float, wanted: str = "au
     if wanted in ("auto", "imu") and base.sensed("accelerometer") is not None:
         return np.inf
     limits = []
-    for source, table, order in (
-        ("twist", base.linear_velocity, 1),
-        ("pose", base.position, 2),
-    ):
+    for source, table, order in (("twist", base.linear_velocity, 1), ("pose", base.position, 2)):
         if table is not None and wanted in ("auto", source):
             slope = 2 * order + 1
             power = 3.0 * (2.0 * np.pi) ** (2 * order) * white_noise(table) ** 2 * 2.0
@@ -449,8 +443,7 @@ def _on_grid(flags: Mask, grid: Grid) -> Mask:
         return flags[: grid.count]
     wanted = grid.origin + grid.step * np.arange(grid.count)
     after = np.clip(np.searchsorted(grid.stamps, wanted), 1, len(grid.stamps) - 1)
-    either: Mask = flags[after - 1] | flags[after]
-    return either
+    return np.asarray(flags[after - 1] | flags[after])
 
 
 def _wrenches(contacts: Contacts) -> Array | None:

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from operator import itemgetter
 from typing import Any
 
+from sdpid._common.files import require_known
 from sdpid.errors import DataError
 from sdpid.experiment.processing.base import base_limit, landing_share
 from sdpid.experiment.processing.filters import BAND_OVER_RATE
@@ -111,11 +112,7 @@ def with_changes(processing: Processing, changes: Mapping[str, Any]) -> Processi
             f"processing: is {changes!r}, expected a Processing or a mapping of its settings."
         )
     settings = [field.name for field in fields(Processing) if field.name != "reasons"]
-    unknown = [str(name) for name in changes if name not in settings]
-    if unknown:
-        raise DataError(
-            f"processing: has no setting {', '.join(unknown)}; choose from {', '.join(settings)}."
-        )
+    require_known(changes, settings, "processing", "is no setting")
     return replace(processing, **changes)
 
 

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen_view, real_array
+from sdpid._common.arrays import Array, Mask, frozen_view, shaped
 from sdpid._common.tables import Table
 from sdpid.errors import DataError
-from sdpid.experiment.recording.floating import WRENCH, Sampled, offsets, samples
+from sdpid.experiment.recording.floating import WRENCH, Sampled, offsets, one_kind_each, samples
 from sdpid.experiment.recording.floating import ContactKind as Kind
 
 # What a contact of each kind may transmit: the first so many rows of its Jacobian, in the world's
@@ -100,16 +100,9 @@ class ContactSamples(Sampled):
                 f"contacts: against is {self.against!r:.80}, expected a frame other than its own, "
                 f"or None, for each of {c} frames."
             )
-        kinds = _several(self.kind)
-        kinds = kinds * c if len(kinds) == 1 else kinds
-        if len(kinds) != c or not set(kinds) <= TRANSMITS.keys():
-            raise DataError(
-                f"contacts: kind is {self.kind!r:.80}, expected one of {', '.join(TRANSMITS)} for "
-                f"all, or for each of {c} frames."
-            )
         object.__setattr__(self, "frames", frames)
         object.__setattr__(self, "against", others)
-        object.__setattr__(self, "kind", kinds)
+        object.__setattr__(self, "kind", one_kind_each(self.kind, c))
         object.__setattr__(self, "offset", offsets(self.offset, c, "contacts: offset"))
         self._keep_samples()
         if (self.forces is None) != (self.force_covariance is None):
@@ -122,13 +115,9 @@ class ContactSamples(Sampled):
 
     def _keep_forces(self, forces: Array, given: Any) -> None:
         """Check the covariance of measured forces, and clear what is not transmitted."""
-        name, ndim = "contacts: force_covariance", np.ndim(given)
-        covariance = real_array(given, name, ndim=ndim, infinite=True)
-        if covariance.shape not in ((6, 6), (self.n, 6, 6)):
-            raise DataError(
-                f"{name} has shape {covariance.shape}, expected (6, 6) or {(self.n, 6, 6)}."
-            )
-        acts = self._acts
+        name, acts = "contacts: force_covariance", self._acts
+        shape = (self.n, 6, 6) if np.ndim(given) == 3 else (6, 6)
+        covariance = shaped(given, name, shape, ": for all contacts or for each", infinite=True)
         covariance = np.where(acts[:, :, None] & acts[:, None], covariance, 0.0)
         for frame, own in zip(self.frames, covariance, strict=True):
             _check_covariance(own, f"{name} of {frame}")
@@ -226,10 +215,7 @@ class ContactSamples(Sampled):
         return [f"{said} closed", f"forces {'measured' if self.measured else 'eliminated'}"]
 
     def _shown(self) -> dict[str, object]:
-        return {
-            "samples": self.n_samples,
-            "forces": "measured" if self.measured else "eliminated",
-        }
+        return {"samples": self.n_samples, "forces": "measured" if self.measured else "eliminated"}
 
     def _tables(self) -> tuple[Table, ...]:
         shares = self.down.mean(axis=0).tolist()

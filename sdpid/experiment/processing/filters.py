@@ -208,8 +208,7 @@ class FiniteFilter(ZeroPhaseFilter):
         """Return the gain at given frequencies."""
         lag = np.arange(-self.reach, self.reach + 1) / rate_hz
         phase = 2.0 * math.pi * np.multiply.outer(np.atleast_1d(frequency_hz), lag)
-        gain: Array = np.cos(phase) @ self.weights
-        return gain
+        return np.asarray(np.cos(phase) @ self.weights)
 
 
 def _finite(cutoff_hz: float, order: int, rate_hz: float) -> FiniteFilter:

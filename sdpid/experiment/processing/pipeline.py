@@ -54,10 +54,6 @@ _MOST_THREADS = 4
 _MOST_KEPT = 1 << 27
 
 
-class TooShortError(DataError):
-    """Raised when a record is too short to be filtered."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pipeline:
     """How each channel of a record without gaps is read, filtered, averaged and decimated.
@@ -101,13 +97,11 @@ class Pipeline:
     margin: int
 
     @staticmethod
-    def of(log: Recording, processing: Processing) -> Pipeline:
-        """Return what settings make of a record without gaps.
+    def of(log: Recording, processing: Processing) -> Pipeline | str:
+        """Return what settings make of a record without gaps, or why it is too short.
 
         Raises
         ------
-        TooShortError
-            When nothing is left between the trimmed ends.
         DataError
             When time stamps cannot be made regular, or periods lack samples.
         """
@@ -129,7 +123,7 @@ class Pipeline:
                 first = round(processing.trim_s / grid.step)
             length = grid.count - 2 * first
         if length < 1:
-            raise TooShortError(
+            return (
                 f"time: the record lasts {log.duration:.4g} s, and {first * grid.step:.4g} s are "
                 f"cut off at either end (memory of the filter at {cutoff:g} Hz: "
                 f"{low_pass.time_constant * grid.step:.3g} s); record longer, raise cutoff_hz, or "
@@ -206,8 +200,7 @@ class Pipeline:
 
     def once(self, column: Array, period: int) -> Array:
         """Return a stretch of a channel at the kept samples, filtered once."""
-        kept: Array = self.kept(self.low_pass.apply(self.read(column, period)))
-        return kept
+        return np.asarray(self.kept(self.low_pass.apply(self.read(column, period))))
 
     def mean(self, column: Array) -> tuple[list[Array], float]:
         """Return the average after each of `passes` passes, and the spread of the periods.
@@ -236,8 +229,7 @@ class Pipeline:
         def mean(part: Pipeline, j: int) -> tuple[Array]:
             return (part.kept(part.mean(table[:, j])[0][0]),)
 
-        found: Array = alone.tables(table.shape[1], mean)[0]
-        return found
+        return np.asarray(alone.tables(table.shape[1], mean)[0])
 
     def tables(
         self,

@@ -22,11 +22,11 @@ from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.experiment.processing.base import GRAVITY, require_finite, with_base
 from sdpid.experiment.processing.choose import default_processing, with_changes
-from sdpid.experiment.processing.on_time import delay_notes, on_time
-from sdpid.experiment.processing.pipeline import Pipeline, TooShortError, efforts_of, states_of
+from sdpid.experiment.processing.pipeline import Pipeline, efforts_of, states_of
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.readers.scaled import require_torques
+from sdpid.experiment.recording.floating import T
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.plausible import require_no_outliers, require_plausible_units
 from sdpid.experiment.recording.recording import Recording
@@ -114,29 +114,20 @@ def process(
     pieces, notes = continuous(log)
     pieces = tuple(on_time(piece, processing) for piece in pieces)
     notes = [*notes, *delay_notes(log, processing)]
+    gravity = GRAVITY if gravity is None else gravity
     with _progress.progress(log.n * len(pieces), "processing", enabled=progress) as advance:
-        samples = _joined(pieces, processing, advance, GRAVITY if gravity is None else gravity)
+        samples = _joined(
+            [(each, _processed(each, processing, advance, gravity)) for each in pieces]
+        )
     if samples.mask is not None:
         samples = _unmasked(samples, processing)
     return replace(samples, notes=(*processing.why, *notes, *samples.notes))
 
 
-def _joined(
-    pieces: tuple[Recording, ...],
-    processing: Processing,
-    advance: Callable[[int], object],
-    gravity: Sequence[float],
-) -> Samples:
-    """Process the pieces of a record and join their samples."""
-    samples_of_pieces: list[Samples] = []
-    short: list[tuple[Recording, str]] = []
-    for piece in pieces:
-        try:
-            samples_of_pieces.append(_processed(piece, processing, advance, gravity))
-        except TooShortError as error:
-            short.append((piece, str(error)))
-            advance(piece.n)
-    if not samples_of_pieces:
+def _joined(pieces: list[tuple[Recording, Samples | str]]) -> Samples:
+    """Join the samples of the pieces of a record, but for those that are too short, and why."""
+    short = [(piece, found) for piece, found in pieces if isinstance(found, str)]
+    if len(short) == len(pieces):
         longest, why = max(short, key=lambda each: each[0].duration)
         if len(pieces) == 1:
             raise DataError(why)
@@ -144,7 +135,7 @@ def _joined(
             f"time: gaps split the record into {len(short)} pieces, each too short; of the "
             f"longest, with {longest.n_samples} samples: {why}"
         )
-    samples = Samples.join(samples_of_pieces)
+    samples = Samples.join([found for _, found in pieces if isinstance(found, Samples)])
     if not short:
         return samples
     dropped = (
@@ -160,16 +151,22 @@ def _processed(
     processing: Processing,
     advance: Callable[[int], object],
     gravity: Sequence[float],
-) -> Samples:
-    """Process a record without gaps and wrapped angles."""
+) -> Samples | str:
+    """Process a record without gaps and wrapped angles; return why, where it is too short."""
     pipeline = Pipeline.of(log, processing)
+    if isinstance(pipeline, str):
+        advance(log.n)
+        return pipeline
     step, decimation = pipeline.grid.step, pipeline.decimation
     states = states_of(log, pipeline, advance=advance)
     wanted = log.period is not None and processing.covariance is not None
     effort, covariance, effort_periods, lost = efforts_of(log, pipeline, covariance=wanted)
     notes = [*_notes(log, pipeline, states["mask"]), *lost]
     if covariance is not None:
-        covariance = _shrunk(covariance, processing)
+        # Pooled over the samples, or shrunk towards that.
+        pooled, share = np.asarray(covariance.mean(axis=0)), processing.shrinkage
+        own = processing.covariance != "pooled"
+        covariance = (1.0 - share) * covariance + share * pooled if own else pooled
         notes += _noise_free(log, covariance, effort)
     memory_s = pipeline.low_pass.time_constant * step
     block_s = max(_BLOCK_TIME_CONSTANTS * memory_s, _BLOCK_SECONDS)
@@ -187,14 +184,6 @@ def _processed(
         gains=log.gains,
     )
     return samples if log.base is None else with_base(samples, log, pipeline, gravity)
-
-
-def _shrunk(covariance: Array, processing: Processing) -> Array:
-    """Return the covariance (K, n, n) pooled over the samples, or shrunk towards that."""
-    pooled = np.asarray(covariance.mean(axis=0))
-    if processing.covariance == "pooled":
-        return pooled
-    return (1.0 - processing.shrinkage) * covariance + processing.shrinkage * pooled
 
 
 def _noise_free(log: Recording, covariance: Array, effort: Array) -> list[str]:
@@ -293,3 +282,111 @@ def _notes(log: Recording, pipeline: Pipeline, mask: Mask | None) -> list[str]:
             f"{processing.reversal_speed:g} rad/s: {shares}"
         )
     return notes
+
+
+# Groups of channels that share a clock, as words; joint positions are what all are compared with.
+CHANNELS = {
+    "effort": "efforts",
+    "imu": "the IMU",
+    "base": "pose and velocities of the base",
+    "contacts": "contacts",
+}
+# What a note on a channel that was moved ends with.
+ON_TIME = ": taken on time"
+
+# A piece must be this many times as long as its longest shift.
+_LEAST_LENGTH = 4.0
+
+
+def delayed_channels(log: Recording, processing: Processing) -> dict[str, float]:
+    """Return the delays, in s, of channels that were recorded (see `CHANNELS`), but for zeros."""
+    imu = None if log.base is None else log.base.imu
+    has = {"effort": log.effort, "imu": imu, "base": log.base, "contacts": log.contacts}
+    given = {name: float(getattr(processing, f"{name}_delay_s")) for name in CHANNELS}
+    return {name: x for name, x in given.items() if x != 0.0 and has[name] is not None}
+
+
+def delay_notes(log: Recording, processing: Processing) -> list[str]:
+    """Return what is shifted, in words."""
+    return [
+        f"{CHANNELS[name]} recorded {1e3 * abs(delay):.3g} ms too "
+        f"{'late' if delay > 0.0 else 'early'}{ON_TIME}"
+        for name, delay in delayed_channels(log, processing).items()
+    ]
+
+
+def on_time(log: Recording, processing: Processing) -> Recording:
+    """Return a piece of a recording with every channel at the time of the joints' positions.
+
+    Channels are interpolated by cubic splines, flags are those of the nearest sample. Of a record
+    with periods the end continues with the beginning; others lose the samples at an end that one
+    of their channels does not have. Delays of channels that were not recorded do nothing.
+
+    Parameters
+    ----------
+    log : Recording
+        Without gaps.
+    processing : Processing
+        The delays of its channels (`Processing.effort_delay_s` and others).
+
+    Raises
+    ------
+    DataError
+        When the recording is shorter than four times a delay.
+    """
+    delays = delayed_channels(log, processing)
+    if not delays:
+        return log
+    longest = max(abs(delay) for delay in delays.values())
+    if log.duration < _LEAST_LENGTH * longest:
+        raise DataError(
+            f"delays: {longest:g} s in a piece of {log.duration:g} s, the limit is a quarter of it."
+        )
+    changes: dict[str, Any] = {}
+    if "effort" in delays:
+        changes["effort"] = _later(log, log.effort, delays["effort"])
+    if log.contacts is not None:
+        changes["contacts"] = _shifted(log, log.contacts, delays.get("contacts"))
+    if log.base is not None:
+        base = _shifted(log, log.base, delays.get("base"))
+        imu = base.imu and _shifted(log, base.imu, delays.get("imu"))
+        changes["base"] = replace(base, imu=imu)
+    shifted = replace(log, **changes)
+    if log.period is not None:
+        return shifted
+    time = np.asarray(log.time)
+    early, late = min(0.0, *delays.values()), max(0.0, *delays.values())
+    # Half a step, so that whole steps are not lost to rounding.
+    slack = 0.5 * log.step
+    kept = np.flatnonzero((time + early > time[0] - slack) & (time + late < time[-1] + slack))
+    return shifted.rows(slice(int(kept[0]), int(kept[-1]) + 1))
+
+
+def _later(log: Recording, table: Any, delay: float) -> Any:
+    """Return a table (N, ...) of a recording, each value from `delay` later."""
+    from scipy.interpolate import CubicSpline
+
+    time = np.asarray(log.time)
+    first, last, wanted = float(time[0]), float(time[-1]), time + delay
+    if log.period is not None:
+        wanted = np.where(wanted > last, wanted - log.period, wanted)
+        wanted = np.where(wanted < first, wanted + log.period, wanted)
+    wanted = np.clip(wanted, first, last)
+    if table.dtype == np.bool_:
+        after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
+        nearer = wanted - time[after - 1] < time[after] - wanted
+        return table[after - nearer]
+    # Times relative to the first: stamps since 1970 lose digits in the cubes.
+    spline = CubicSpline(time - time[0], np.asarray(table), axis=0)
+    return np.asarray(spline(wanted - time[0]))
+
+
+def _shifted(log: Recording, owner: T, delay: float | None) -> T:
+    """Return a base, an IMU or contacts with all channels from `delay` later."""
+    if delay is None:
+        return owner
+    later = {name: _later(log, table, delay) for name, table in owner.channels.items()}
+    if "orientation" in later:
+        norms = np.linalg.norm(later["orientation"], axis=1, keepdims=True)
+        later["orientation"] = later["orientation"] / norms
+    return replace(owner, **later)

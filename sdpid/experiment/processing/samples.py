@@ -350,10 +350,7 @@ class Samples(Sampled):
         return tuple(self._picked(i, part) for i, part in enumerate(self.parts))
 
     def through_filter(
-        self,
-        function: Callable[[Array, Array], Array],
-        which: slice,
-        key: Hashable | None = None,
+        self, function: Callable[[Array, Array], Array], which: slice, key: Hashable | None = None
     ) -> Array:
         """Return a function of velocity and acceleration as it stands in some efforts.
 

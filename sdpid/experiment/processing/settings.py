@@ -321,11 +321,7 @@ class Processing(Settings):
     def paper() -> Processing:
         """Return section III-C of the paper to the letter, the periods' covariance included."""
         return Processing(
-            cutoff_hz=10.0,
-            order=1,
-            filter_alike=False,
-            reversal_time=None,
-            filter_friction=False,
+            cutoff_hz=10.0, order=1, filter_alike=False, reversal_time=None, filter_friction=False
         )
 
 

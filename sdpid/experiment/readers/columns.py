@@ -419,7 +419,9 @@ class Columns:
     ) -> Iterator[tuple[str, str | None, _Group]]:
         """Yield each name of a quantity, its unit, and its columns by what they are of."""
         keys = row.names or row.bare
-        spelled = "|".join(map(_spelled, sorted(keys, key=len, reverse=True)))
+        # Words of a name are joined by underscores, blanks or hyphens.
+        words = (map(re.escape, key.split("_")) for key in sorted(keys, key=len, reverse=True))
+        spelled = "|".join(map(r"[_\s-]".join, words))
         endings = "|".join(filter(None, row.endings)) or "(?!)"
         key = rf"(?P<key>{spelled})(?:[_\s-](?P<unit>{endings}))?"
         groups: dict[tuple[str, str], _Group] = {}
@@ -500,11 +502,6 @@ class Columns:
         except NoNumbersError:
             return False
         return len(shape) == 1 or (len(shape) == 2 and 1 in shape)
-
-
-def _spelled(key: str) -> str:
-    """Return a pattern of a name whose words are joined by underscores, blanks or hyphens."""
-    return r"[_\s-]".join(re.escape(word) for word in key.split("_"))
 
 
 def _list(names: Iterable[str]) -> str:

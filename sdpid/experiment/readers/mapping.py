@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import is_number
-from sdpid._common.files import load_toml
+from sdpid._common.files import load_toml, require_known
 from sdpid._common.tables import plain
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
@@ -111,11 +111,8 @@ def complete_arguments(
         When an argument or a quantity is not known, or the mapping cannot be read.
     """
     known = [each.name for each in fields(Arguments)]
-    if unknown := sorted(set(how) - set(known)):
-        raise DataError(
-            f"read_recording: {', '.join(unknown)} is no argument; known are path, mapping, "
-            f"stored, {', '.join(known)}."
-        )
+    known = ["path", "mapping", "stored", *known]
+    require_known(how, known, "read_recording", "is no argument")
     chosen = checked(how)
     beside = None if log is None else mapping_beside(log)
     there = beside is not None and beside != log and beside.is_file()
@@ -169,11 +166,8 @@ def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str
         if isinstance(content.get("gains"), str):
             content["gains"] = os.fspath(Path(where).parent / content["gains"])
     known = [each.name for each in fields(Arguments) if each.name not in _NO_MAPPING]
-    if unknown := sorted(map(str, set(content) - set(known))):
-        raise DataError(
-            f"{where}: {', '.join(unknown)} is not known; known are {', '.join(known)}. "
-            "Where this is no mapping of a log, read the log with mapping=False."
-        )
+    hint = "where this is no mapping of a log, read the log with mapping=False"
+    require_known(content, known, f"{where} ({hint})")
     return checked(content, f"{where}: ")
 
 
@@ -216,10 +210,7 @@ def _require(holds: bool, name: str, value: Any, expected: str) -> None:
 def _table(name: str, value: Any, known: Iterable[str], what: str = "known") -> dict[str, Any]:
     """Return a table of a mapping whose keys are known."""
     _require(isinstance(value, Mapping), name, value, f"a table [{name}]")
-    if unknown := sorted(map(str, set(value) - set(known))):
-        raise DataError(
-            f"{name}: {', '.join(unknown)} is not {what}; known are {', '.join(known)}."
-        )
+    require_known(value, known, name, f"is not {what}")
     return dict(value)
 
 

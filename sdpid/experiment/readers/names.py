@@ -19,20 +19,15 @@ _CURRENTS = {"A": 1.0, "mA": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": _DEGREE, "turn": 2.0 * np.pi, "m": 1.0, "mm": 1e-3}
 _TURNING = {"rad/s": 1.0, "deg/s": _DEGREE}
 _XYZ = ("x", "y", "z")
-_POSITIONS = ["q", "position", "positions", "pos", "joint_position", "joint_positions", "angle"]
-_POSITIONS += ["dof_pos"]
+_POSITIONS = (
+    *("q", "position", "positions", "pos", "joint_position", "joint_positions"),
+    *("angle", "dof_pos"),
+)
 # Words of positions that are commanded, and not what the robot did.
-_COMMANDS = [
-    "reference",
-    "ref",
-    "desired",
-    "des",
-    "commanded",
-    "command",
-    "cmd",
-    "target",
-    "setpoint",
-]
+_COMMANDS = (
+    *("reference", "ref", "desired", "des", "commanded", "command"),
+    *("cmd", "target", "setpoint"),
+)
 _IN_ANGLES = {"deg": "deg", "rad": "rad"}
 
 

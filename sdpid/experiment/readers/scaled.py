@@ -113,12 +113,5 @@ def gains_for(log: Recording, gains: Any) -> DriveGains:
             )
         return gains.renamed(log.names)
     ways = ways_to_match(log.joint_names, gains.joint_names)
-    if len(ways) != 1:
-        missing = [name for name in log.joint_names if name not in gains.joint_names]
-        raise DataError(
-            f"gains: none for {', '.join(missing)}; there are gains for "
-            f"{', '.join(gains.joint_names)}. Leave columns without a gain out "
-            "(joint_names, --joint-names), or name the joints alike."
-        )
-    (way,) = ways
-    return gains.picked([gains.joint_names.index(name) for name in way], log.joint_names)
+    own = ways.pop() if len(ways) == 1 else log.joint_names
+    return gains.of_joints(own).renamed(log.joint_names)

@@ -19,7 +19,7 @@ from sdpid._common.arrays import (
     real_array,
     shaped,
 )
-from sdpid._common.files import printable
+from sdpid._common.files import printable, require_known
 from sdpid._common.tables import Shown, Table, plain
 from sdpid.errors import DataError
 from sdpid.experiment.recording.stored import StoredArray
@@ -62,11 +62,7 @@ class _Channel(NamedTuple):
 
 
 def samples(
-    column: str,
-    *axes: str | tuple[str, ...],
-    what: str,
-    needed: bool = False,
-    flags: bool = False,
+    column: str, *axes: str | tuple[str, ...], what: str, needed: bool = False, flags: bool = False
 ) -> Any:
     """Return a field of samples (N, ...), by which they are checked, taken, written and counted.
 
@@ -423,18 +419,7 @@ class Contacts(Sampled):
     def __post_init__(self) -> None:
         frames = distinct_names(self.frames, "contacts.frames", "frame names")
         object.__setattr__(self, "frames", frames)
-        given: Any = self.kind
-        kinds = (given,) if isinstance(given, str) else tuple(given)
-        if unknown := [kind for kind in kinds if kind not in get_args(ContactKind)]:
-            raise DataError(
-                f"contacts.kind: {unknown[0]!r:.80} is not known; known are "
-                f"{', '.join(get_args(ContactKind))}."
-            )
-        if len(kinds) not in (1, self.n):
-            raise DataError(
-                f"contacts.kind: {len(kinds)} kinds for {self.n} frames; give one or each."
-            )
-        object.__setattr__(self, "kind", kinds * self.n if len(kinds) == 1 else kinds)
+        object.__setattr__(self, "kind", one_kind_each(self.kind, self.n))
         self._keep_samples()
         if self.forces is not None and self.wrenches is not None:
             raise DataError("contacts: give forces or wrenches, not both.")
@@ -475,6 +460,15 @@ class Contacts(Sampled):
         if self.down is not None:
             columns["share down"] = self.down.mean(axis=0).tolist()
         return [Table.of_columns(columns)]
+
+
+def one_kind_each(given: Any, count: int) -> tuple[ContactKind, ...]:
+    """Return what kinds several contacts are, of which one is that of all."""
+    kinds, known = (given,) if isinstance(given, str) else tuple(given), get_args(ContactKind)
+    require_known(kinds, known, "contacts.kind")
+    if len(kinds) not in (1, count):
+        raise DataError(f"contacts.kind: {len(kinds)} kinds for {count} frames; give one or each.")
+    return kinds * count if len(kinds) == 1 else kinds
 
 
 def offsets(given: Any, count: int, called: str) -> Array:

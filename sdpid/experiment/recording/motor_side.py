@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, real_array, shaped
+from sdpid._common.files import require_known
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 
@@ -115,10 +116,7 @@ class MotorSide(Settings):
         gears = {key: given[key] for key in ("gear_ratios", "signs") if key in given}
         others = {key: value for key, value in given.items() if key not in gears}
         known = ["gear_ratios", "signs", *(each.name for each in fields(cls))]
-        if unknown := sorted(set(given) - set(known)):
-            raise DataError(
-                f"motors: {', '.join(unknown)} is not known; known are {', '.join(known)}."
-            )
+        require_known(given, known, "motors")
         if ("position_matrix" in given) == bool(gears) or gears.keys() == {"signs"}:
             raise DataError(
                 "motors: give either gear_ratios (and signs) or position_matrix, which has signs."

@@ -10,6 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, shaped
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import middle
 
 _TURN = 2.0 * math.pi
 # A joint whose position stays within this (rad, or m) does not move: that is a hand's width of
@@ -188,8 +189,7 @@ def velocity_fit(log: Recording, joint: int) -> tuple[float, float, float] | Non
         there are too few samples.
     """
     assert log.velocity is not None
-    begin = max(0, (log.n_samples - _COMPARED) // 2)
-    part = slice(begin, begin + _COMPARED)
+    part = middle(log.n_samples, _COMPARED)
     time, position, measured = log.time[part], log.position[part, joint], log.velocity[part, joint]
     stride = max(1, time.size // _INTERVALS)
     if time.size < 4 * stride + 4:

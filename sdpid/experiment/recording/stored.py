@@ -74,6 +74,12 @@ def blocks(values: Array) -> Iterator[tuple[int, Array]]:
         yield begin, np.asarray(values[begin : begin + ROWS])
 
 
+def middle(count: int, most: int) -> slice:
+    """Return at most so many rows, in the middle of a number of rows."""
+    first = max(0, (count - most) // 2)
+    return slice(first, first + most)
+
+
 def extremes(table: Array) -> tuple[Array, Array]:
     """Return the least and the largest value of each column of (N, n) finite values, (n,) each."""
     # By columns: NumPy compares a long one several times faster than many short rows.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen, generator, real_array
+from sdpid._common.arrays import Array, frozen, generator, real_array, shaped
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
@@ -271,9 +271,7 @@ def simulate_closed_loop(
     if start is None:
         states = desired.at(np.zeros(1))[0, :2]
     else:
-        states = np.stack([real_array(each, "start", ndim=1) for each in start])
-        if states.shape != (2, n):
-            raise DataError(f"start: shapes {states.shape}, expected two of ({n},).")
+        states = np.array(shaped(start, "start", (2, n), ": positions, then velocities"))
     grid = np.asarray(dt * np.arange(0.0, steps + 1.0, max(every, 1)))
     ends = told = desired.at(grid)
     if not every:
@@ -379,6 +377,6 @@ def _positive(value: Any, name: str, what: str) -> float:
         number = float(value)
     except (TypeError, ValueError):
         number = float("nan")
-    if not (np.isfinite(number) and number > 0.0):
+    if not 0.0 < number < np.inf:
         raise DataError(f"{name} is {value!r:.80}; give a positive {what}.")
     return number

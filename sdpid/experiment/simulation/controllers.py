@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, update_wrapper
+from inspect import signature
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.arrays import Array, frozen, is_number, real_array
 from sdpid._common.tables import Shown, Table
 from sdpid.errors import DataError
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.robot.model.dynamics import RobotDynamics
-
-# What the effort of a controller depends on, in the order of its arguments.
-_STATES = (
-    "position",
-    "velocity",
-    "reference",
-    "reference_velocity",
-    "reference_acceleration",
-    "integral",
-)
 
 # The longest delay (s) that is believed of a drive: no robot is stable with a longer one.
 _LONGEST_DELAY = 0.1
@@ -87,7 +78,19 @@ class Controller(ABC):
         reference_acceleration: ArrayLike | None = None,
         integral: ArrayLike | None = None,
     ) -> Array:
-        """Return the efforts (K, n) at K samples, in N·m or N."""
+        """Return the efforts (K, n) at K samples, in N·m or N.
+
+        Parameters
+        ----------
+        position, velocity : array_like, shape (K, n)
+            What the controller sees.
+        reference, reference_velocity : array_like, shape (K, n)
+            Commanded positions and velocities.
+        reference_acceleration : array_like, shape (K, n), optional
+            For computed torque.
+        integral : array_like, shape (K, n), optional
+            Integral of the position error, rad·s; needed where there is an integral gain.
+        """
 
     @abstractmethod
     def slopes(
@@ -99,7 +102,14 @@ class Controller(ABC):
         reference_acceleration: ArrayLike | None = None,
         integral: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
-        """Return d effort / d position and d effort / d velocity, (K, n, n) each."""
+        """Return d effort / d position and d effort / d velocity, (K, n, n) each.
+
+        They are zero where the effort is at its limit. Parameters are those of `effort`.
+        """
+
+
+# How both are called.
+_CALLED = signature(Controller.effort)
 
 
 class LoopGains(NamedTuple):
@@ -159,55 +169,26 @@ class JointLaw(Shown, Controller):
         """The model of the controller as the compiled loop takes it; None without one."""
         return None
 
-    def effort(
-        self,
-        position: ArrayLike,
-        velocity: ArrayLike,
-        reference: ArrayLike,
-        reference_velocity: ArrayLike,
-        reference_acceleration: ArrayLike | None = None,
-        integral: ArrayLike | None = None,
-    ) -> Array:
-        """Return the efforts (K, n) at K samples.
+    def effort(self, *states: ArrayLike | None, **named: ArrayLike | None) -> Array:
+        """Return the efforts (K, n) at K samples."""
+        limit = self.gains.limit
+        return np.clip(self._unlimited(*self._checked(states, named)), -limit, limit)
 
-        Parameters
-        ----------
-        position, velocity : array_like, shape (K, n)
-            What the controller sees.
-        reference, reference_velocity : array_like, shape (K, n)
-            Commanded positions and velocities.
-        reference_acceleration : array_like, shape (K, n), optional
-            For computed torque.
-        integral : array_like, shape (K, n), optional
-            Integral of the position error, rad·s; needed where there is an integral gain.
-        """
-        given = (position, velocity, reference, reference_velocity)
-        states = self._checked(*given, reference_acceleration, integral)
-        return np.clip(self._unlimited(*states), -self.gains.limit, self.gains.limit)
-
-    def slopes(
-        self,
-        position: ArrayLike,
-        velocity: ArrayLike,
-        reference: ArrayLike,
-        reference_velocity: ArrayLike,
-        reference_acceleration: ArrayLike | None = None,
-        integral: ArrayLike | None = None,
-    ) -> tuple[Array, Array]:
-        """Return d effort / d position and d effort / d velocity, (K, n, n) each.
-
-        They are zero where the effort is at its limit. Parameters are those of `effort`.
-        """
-        given = (position, velocity, reference, reference_velocity)
-        states = self._checked(*given, reference_acceleration, integral)
-        free = (np.abs(self._unlimited(*states)) < self.gains.limit)[..., None]
-        by_position, by_velocity = self._slopes(*states)
+    def slopes(self, *states: ArrayLike | None, **named: ArrayLike | None) -> tuple[Array, Array]:
+        """Return the slopes of the efforts, zero where these are at their limit."""
+        arrays = self._checked(states, named)
+        free = (np.abs(self._unlimited(*arrays)) < self.gains.limit)[..., None]
+        by_position, by_velocity = self._slopes(*arrays)
         return by_position * free, by_velocity * free
 
-    def _checked(self, *arrays: ArrayLike | None) -> list[Array]:
+    def _checked(
+        self, states: Sequence[ArrayLike | None], named: Mapping[str, ArrayLike | None]
+    ) -> list[Array]:
         """Return the arguments as arrays (K, n); what is missing and not needed is zero."""
+        bound = _CALLED.bind(self, *states, **named)
+        bound.apply_defaults()
         found: list[Array] = []
-        for values, name in zip(arrays, _STATES, strict=True):
+        for name, values in [*bound.arguments.items()][1:]:
             if values is None and name == "integral" and self.gains.integral.any():
                 raise DataError(
                     f"{type(self).__name__}: integral is missing; give the integral of the "
@@ -255,6 +236,11 @@ class JointLaw(Shown, Controller):
     def _tables(self) -> Iterator[Table]:
         own = {k: v.tolist() for k, v in self._settings.items() if isinstance(v, np.ndarray)}
         yield Table.of_columns({"joint": list(range(1, self.n + 1)), **own})
+
+
+# Help shows how they are called, and what with.
+for _name in ("effort", "slopes"):
+    update_wrapper(getattr(JointLaw, _name), getattr(Controller, _name), updated=())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -356,11 +342,8 @@ class PD(JointLaw):
             object.__setattr__(self, name, np.full(count, x) if np.ndim(x) == 0 else x)
         super().__post_init__()
         object.__setattr__(self, "limit", self.effort_limit)
-        if self.delay is None:
-            return
-        given: Any = self.delay
-        number = isinstance(given, int | float) and not isinstance(given, bool)
-        if not number or not 0.0 <= given <= _LONGEST_DELAY:
+        delay: Any = 0.0 if self.delay is None else self.delay
+        if not (is_number(delay) and 0.0 <= delay <= _LONGEST_DELAY):
             raise DataError(
                 f"PD: delay is {self.delay!r}; give seconds from 0 to {_LONGEST_DELAY:g}, or None "
                 "where it is to be found."

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen, is_number
+from sdpid._common.files import require_known
 from sdpid._common.tables import Shown, Table, plain_dict
 from sdpid.errors import DataError
 from sdpid.experiment.processing.filters import low_pass
@@ -190,8 +191,7 @@ def fit_controller(
     >>> fitted.controller
     P(6 joints, proportional_gain 1.28... to 4.47..., velocity_gain ...)
     """
-    if kind not in KINDS:
-        raise DataError(f"kind: '{kind}' is not known; known are {', '.join(KINDS)}.")
+    require_known([kind], KINDS, "kind")
     if not isinstance(recording, Recording):
         raise DataError(
             f"recording: is {recording!r:.80}; give a Recording, such as "

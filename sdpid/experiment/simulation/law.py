@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.files import load_toml, read_regular
+from sdpid._common.files import load_toml, read_regular, require_known
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.prepare import Logs, read_logs
 from sdpid.experiment.recording.joints import match_joints
@@ -245,8 +245,7 @@ def law_of(kind: str, robot: RobotModel, given: Mapping[str, Any]) -> PD:
         if not path.is_file():
             raise DataError(f"law: {kind!r} is no file, and no law but pd is known.")
         stated = _of_actuators(path) if path.suffix.lower() == ".xml" else load_toml(path)
-    if unknown := stated.keys() - {"kp", "kd", "delay", "limit"}:
-        raise DataError(f"{kind}: {min(unknown)} is unknown; there are kp, kd, delay and limit.")
+    require_known(stated, ("kp", "kd", "delay", "limit"), kind)
     found = {name: _by_joint(kind, name, x, robot) for name, x in stated.items()} | dict(given)
     # One number is that of every joint, beside lists of the others too.
     found = {name: np.ravel(x)[0].item() if np.size(x) == 1 else x for name, x in found.items()}

@@ -162,20 +162,12 @@ def base_regressor(
     model: RobotDynamics, base: BaseParameters, q: Array, v: Array, a: Array
 ) -> Array:
     """Return the base regressor at an instant, (N, n, b), friction at these velocities."""
-    robot, terms = model.robot, model.terms
-    places = np.full(len(base.theta_names), -1, dtype=np.intp)
-    places[base.kept] = np.arange(base.count)
-    links = 10 * robot.n_links
-    out = np.zeros((len(q), robot.n, base.count))
-    robot.regressor_columns(q, v, a, places=places[:links], out=out)
-    first = terms.first
+    robot, terms, first = model.robot, model.terms, model.terms.first
     motion = FrictionMotion(
         position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot
     )
-    columns = terms.columns_in(motion)
-    own = places[links:]
-    out[:, :, own[own >= 0]] = columns[:, :, own >= 0]
-    return out
+    columns = np.concatenate([robot.regressor(q, v, a), terms.columns_in(motion)], axis=2)
+    return np.asarray(columns[:, :, base.kept])
 
 
 def _friction_slopes(model: RobotDynamics, v: Array) -> Array:

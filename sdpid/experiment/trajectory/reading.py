@@ -114,7 +114,10 @@ def _sampled(
     file: Path, table: LogTable, wanted: Sequence[str] | None
 ) -> tuple[SampledCurve, tuple[str, ...]]:
     """Return the curve through the samples of a file, and the names of its joints."""
-    acceleration = next((key for key in _ACCELERATIONS if _begins(key, table)), None)
+    # An array, or columns by joint.
+    called = re.compile(rf"({'|'.join(_ACCELERATIONS)})(?:$|[_./\s\-\[\d])", re.IGNORECASE)
+    there = {match[1].lower() for match in map(called.match, table.arrays) if match}
+    acceleration = next((key for key in _ACCELERATIONS if key in there), None)
     log = Columns(file, table, {"acceleration": acceleration})
     time, _ = log.read("time")
     position, labels = log.read("position", wanted)
@@ -172,12 +175,6 @@ def _sampled(
         if value is not None and rate is not None:
             _check_derivative(word, curve.time, value, rate, names)
     return curve, tuple(names)
-
-
-def _begins(key: str, table: LogTable) -> bool:
-    """Return whether an array, or columns by joint, have a name."""
-    pattern = re.compile(rf"{key}(?:$|[_./\s\-\[\d])", re.IGNORECASE)
-    return any(pattern.match(name) for name in table.arrays)
 
 
 def _check_derivative(

@@ -15,7 +15,7 @@ from sdpid.assurance.diagnostics.held_out import (
     LEAST_SQUARES,
     OURS,
 )
-from sdpid.experiment.processing.on_time import ON_TIME
+from sdpid.experiment.processing.process import ON_TIME
 from sdpid.output.report.kinds import GOES, LEVELS, percent
 from sdpid.output.report.subject import NEGLIGIBLE, Grade, Judged, VerdictSubject
 from sdpid.output.report.verdict import CARRIES, COVERED, FAILS, findings

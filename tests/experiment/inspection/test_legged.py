@@ -18,8 +18,7 @@ from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.inspection.kinds import Finding
 from sdpid.experiment.inspection.subject import Check, Subject
 from sdpid.experiment.plant.legged import model
-from sdpid.experiment.plant.legged.sensors import Sensors
-from sdpid.experiment.plant.legged.simulate import LeggedRun
+from sdpid.experiment.plant.legged.simulate import LeggedRun, Sensors
 from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
 from sdpid.experiment.preparation import prepare as preparing
 from sdpid.experiment.preparation.prepare import prepare

@@ -13,10 +13,9 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant import simulate as plant
-from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.plant.legged.sensors import Sensors
-from sdpid.experiment.plant.legged.simulate import LeggedRun
+from sdpid.experiment.plant.legged.simulate import LeggedRun, Sensors
 from sdpid.experiment.plant.legged.truth import DryFriction, changed_parameters
+from sdpid.experiment.trajectory.drawn import default_motion
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import margin
 from sdpid.robot.legs import find_legs

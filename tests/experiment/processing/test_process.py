@@ -13,7 +13,7 @@ from scipy import signal
 import sdpid
 from sdpid import Recording
 from sdpid.errors import DataError
-from sdpid.experiment.preparation.overview import gaps
+from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.preparation.prepare import (
     chosen_processing,
     default_friction,
@@ -312,7 +312,7 @@ WRONG_SETTINGS = ({"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2})
             ALL_ROWS,
         ),
         ("were lost; use timing='resample'", without(periodic(3), 500), {"timing": "nominal"}),
-        *((r"processing: (has no setting|is)", periodic(3), wrong) for wrong in WRONG_SETTINGS),
+        *((r"processing: (.*is no setting|is)", periodic(3), wrong) for wrong in WRONG_SETTINGS),
     ],
 )
 def test_what_cannot_be_processed_is_refused(words: str, log: Any, processing: Any) -> None:
@@ -487,8 +487,8 @@ def test_noise_and_tones_of_a_motion():
 
 def test_gaps_are_counted():
     log = Recording(time=CLOCK, position=np.sin(CLOCK)[:, None], effort=np.sin(CLOCK)[:, None])
-    assert gaps(log)["gaps"] == 0
-    found = gaps(without(log, [100, 101, 102, 500, 501]))
+    assert overview(log)["gaps"] == 0
+    found = overview(without(log, [100, 101, 102, 500, 501]))
     assert (found["gaps"], found["longest_step_row"]) == (2, 100)
     assert found["longest_step_s"] == pytest.approx(4.0 / 200.0)
 

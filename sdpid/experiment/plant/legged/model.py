@@ -95,13 +95,7 @@ class MotorGears(NamedTuple):
 
 
 def build_legged(
-    legs: Legs,
-    motors: MotorGears,
-    theta: Array,
-    *,
-    held: bool,
-    timestep: float,
-    start: Array,
+    legs: Legs, motors: MotorGears, theta: Array, *, held: bool, timestep: float, start: Array
 ) -> LeggedModel:
     """Build the plant of a robot on legs.
 
@@ -177,12 +171,7 @@ def build_legged(
 
 def _add_ground(mujoco: Any, spec: Any, legs: Legs, nodes: dict[int, Any]) -> None:
     """Add a plane, and a ball or a sole at every foot; nothing else touches."""
-    shared = {
-        "condim": 3,
-        "friction": [_GRIP, 0.0, 0.0],
-        "solref": [_GROUND, 1.0],
-        "density": 0.0,
-    }
+    shared = {"condim": 3, "friction": [_GRIP, 0.0, 0.0], "solref": [_GROUND, 1.0], "density": 0.0}
     spec.worldbody.add_geom(
         name="ground",
         type=mujoco.mjtGeom.mjGEOM_PLANE,

@@ -26,15 +26,8 @@ from sdpid.experiment.recording.stored import check_claim
 
 # What reading a damaged archive can raise; a broken header may also ask for too much memory.
 _DAMAGE = (
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-    OSError,
-    EOFError,
-    KeyError,
-    MemoryError,
-    RuntimeError,
-    SyntaxError,
+    *(tokenize.TokenError, zipfile.BadZipFile, zlib.error, OSError, EOFError),
+    *(KeyError, MemoryError, RuntimeError, SyntaxError),
 )
 
 

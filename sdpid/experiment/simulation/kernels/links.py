@@ -243,10 +243,7 @@ def links_at(robot: Any, which: int, q: Array, v: Array, memory: Any, M: Array, 
     R, P, C, force = memory.rotations, memory.places, memory.bodies, memory.force
     S, V, A, F = memory.links[0], memory.links[1], memory.links[2], memory.links[3]
     tilted = robot.tilted and which == OWN
-    for i in range(len(q)):
-        h[i] = 0.0
-        for j in range(len(q)):
-            M[i, j] = 0.0
+    h[:], M[:] = 0.0, 0.0
     for k in range(3):
         R[0, k, k], A[0, 3 + k] = 1.0, -robot.gravity[which, k]
         # The base has no joint and no body: their rows have those of a tilt.
@@ -428,11 +425,7 @@ def curve_at(kind: int, side: int, c: float, a: float, b: float, w: float, x: fl
 def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
     """Write the smooth part of friction and its slopes; viscous friction is not in it."""
     which, curves, load = robot.which, robot.curves, robot.load
-    n = len(v)
-    for i in range(n):
-        F[i] = 0.0
-        for j in range(n):
-            S[i, j] = 0.0
+    F[:], S[:] = 0.0, 0.0
     for p in range(len(which)):
         if which[p, 0] >= POWERS:
             break
@@ -446,7 +439,7 @@ def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
                 break
             add_pull(robot, p, curves[p, OF_CURVE + w] * slope, S[which[p, COLUMN + w]])
     if robot.loaded or robot.bent:
-        for j in range(n):
+        for j in range(len(v)):
             size, share = load[j, 0] * carried[j], load[j, 1]
             if share > 0.0:
                 y = math.tanh(v[j] / load[j, 2])

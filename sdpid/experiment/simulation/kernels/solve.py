@@ -135,9 +135,7 @@ def change_over(robot: Any, v: Array, dt: float, memory: Any) -> None:
         at[k] = 1 if near and bounds[k, 0] < bounds[k, 1] and not held else 0
         mode[k] = 0 if near else (1 if apart > 0.0 else -1)
     for _ in range(DECISIONS):
-        for i in range(size):
-            for j in range(size + 1):
-                K[i, j] = 0.0
+        K[:size] = 0.0
         for i in range(n):
             if fixed[i]:
                 K[i, i], K[i, size] = 1.0, dt * vectors[slot.GIVEN, i]
