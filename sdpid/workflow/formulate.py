@@ -385,7 +385,12 @@ def cross_validate(
     processing: ProcessingOf = None,
     without_effort: Iterable[str] = (),
     scored: Processing | None = None,
-    **options: Any,
+    friction: Iterable[str | FrictionTerm] | None = None,
+    weighting: Weighting | None = None,
+    consistency: Consistency = "pseudo_inertia",
+    constraints: Constraints | None = None,
+    prior: Prior | bool | None = None,
+    effects: Effects = "auto",
 ) -> CrossValidation:
     """Hold out blocks of time or recordings in turn, and predict each by a fit to the rest.
 
@@ -412,9 +417,8 @@ def cross_validate(
         As in `identify`.
     scored : Processing, optional
         Processing of what is held out; by default that of the training part.
-    **options
-        Friction, weighting, consistency, constraints, prior and effects, as in `identify`; effects
-        by the data are chosen anew for every fit.
+    friction, weighting, consistency, constraints, prior, effects : optional
+        As in `identify`; effects by the data are chosen anew for every fit.
 
     Returns
     -------
@@ -435,7 +439,14 @@ def cross_validate(
     >>> print(held_out.summary())
     2 blocks of time held out in turn: relative residual in motion 0.15 % (...)
     """
-    formulation = Formulation(**options)
+    formulation = Formulation(
+        friction=friction,
+        weighting=weighting,
+        consistency=consistency,
+        constraints=constraints,
+        prior=prior,
+        effects=effects,
+    )
     without_effort = joints_without(without_effort)
     model, logs = read_logs(robot, log, without_effort=without_effort)
     parts = list(_parts(logs, folds, by))
