@@ -160,8 +160,8 @@ def summary(own: dict[str, Any]) -> float:
 
 
 def by_chance(own: dict[str, Any]) -> str:
-    """Return between which shares, %, as many right 95 % intervals hold the truth 95 % of times."""
-    # Of no compliance only the lower end can miss it.
+    """Return the range of shares, %, in which exact 95 % intervals end in 95 % of such studies."""
+    # An interval can miss a compliance of zero at its lower end only.
     count, one_end = len(own["seed"]), np.isnan(own["truth"].astype(float)).all()
     low, high = 100.0 * binom.ppf([0.025, 0.975], count, 0.975 if one_end else 0.95) / count
     return f"{low:.1f} to {high:.1f}"
