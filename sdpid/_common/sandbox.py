@@ -204,7 +204,7 @@ def _limit(memory: int, seconds: int) -> None:
 
 
 def _encoded(folder: Path, value: Any) -> Any:
-    """Return what stands in JSON for an array, which gets a file of its own, or for a number."""
+    """Return a number of NumPy as a plain one; write an array to a file, and return which."""
     if not isinstance(value, np.ndarray):
         return value.item()
     number = sum(1 for _ in folder.glob("*.npy"))
@@ -213,7 +213,7 @@ def _encoded(folder: Path, value: Any) -> Any:
 
 
 def _decoded(folder: Path, value: dict[str, Any]) -> Any:
-    """Return the array that an object in JSON stands for, or the object."""
+    """Return the array whose file an object in JSON names; other objects as they are."""
     if set(value) != {_ARRAY}:
         return value
     file = folder / f"{int(value[_ARRAY])}.npy"

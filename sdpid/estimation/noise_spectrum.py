@@ -217,7 +217,7 @@ class NoiseSpectrum:
         moved = self.whole_root @ directions.T
         parts = np.array([np.sum((R[:, :-1] @ moved[own]) ** 2, axis=0) for own, R in self.groups])
         found = freedom_of(parts.T * self.density, self.room)
-        # Where nothing moves nothing is known.
+        # A variance of zero has one degree of freedom, the least.
         return np.where(np.isfinite(found), np.maximum(found, 1.0), 1.0)
 
 

@@ -458,7 +458,7 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
 
 
 def with_motion_bias_of(problem: Problem, prepared: Prepared) -> tuple[Problem, list[str]]:
-    """Return a problem that knows its biases, or why not: of a fixed robot that by noise alone."""
+    """Return the problem with its biases (of a fixed robot by noise alone), or notes why not."""
     if problem.weighting in PRINTED or any(log.stored for log in prepared.logs):
         return problem, []
     try:

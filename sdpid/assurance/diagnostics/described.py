@@ -46,7 +46,7 @@ class Resistances(NamedTuple):
         return cls(robot.expansion[first:, first:], *found)
 
     def beside(self, others: Iterable[tuple[Any, ...]]) -> Resistances:
-        """Return these and others: a way, dry friction, damping and armature of each."""
+        """Return these, then others given as way, dry friction, damping and armature each."""
         return Resistances(*map(np.array, zip(*zip(*self, strict=True), *others, strict=True)))
 
 

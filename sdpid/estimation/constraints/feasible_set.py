@@ -342,7 +342,7 @@ class FeasibleSet(Shown):
         return margin(self.bodies(theta), self.consistency)
 
     def cones(self, theta: Array) -> Array:
-        """Return the last rows (c, s) of the further conditions' matrices: vector, then axis."""
+        """Return the further conditions' cones ``‖v‖ ≤ t`` at parameters, (c, s): v, then t."""
         own = slice(self.n_own, None)
         bodies, basis = self.bodies(theta)[self.block_links[own]], self.block_basis[own, :, -1]
         return np.asarray(np.einsum("nk,nkj->nj", bodies, basis) + self.block_constants[own, -1])

@@ -44,7 +44,7 @@ _EXACT = 1e-4
 
 
 class _Model(NamedTuple):
-    """What is fitted: terms of every joint, whether they share a delay, and one gear that is stiff.
+    """What is fitted: terms of every joint, whether they share a delay, and a gear taken as rigid.
 
     The unknowns are the delays, then of every joint its compliance and the weights of its terms.
     """
@@ -78,7 +78,7 @@ class _Model(NamedTuple):
         ]
 
     def within(self, groups: list[list[Run]]) -> _Model:
-        """Return the model with terms of the position for what these recordings show of it."""
+        """Return the model with terms of the position on the range of these recordings."""
         links = [run.link for runs in groups for run in runs]
         each = enumerate(self.terms)
         terms = [tuple(term.within([q[:, j] for q in links]) for term in own) for j, own in each]
@@ -95,7 +95,7 @@ class _Model(NamedTuple):
 
 
 class _Solution(NamedTuple):
-    """Unknowns (k,), the best and those of no bounds, their scale, and each joint's rows, weighted.
+    """Unknowns (k,) within their bounds and without bounds, their scale, and joints' weighted rows.
 
     `places` are those of a joint's unknowns among all.
     """
@@ -107,10 +107,10 @@ class _Solution(NamedTuple):
     places: list[Indices]
 
     def errors(self) -> tuple[Array, Array]:
-        """Return the standard errors of the unknowns without bounds, and their freedom, (k,).
+        """Return standard errors of the unknowns without bounds, and degrees of freedom, (k,) each.
 
-        Freedom is how many blocks of time, less one, tell each as well as all do where some tell
-        more than others (Satterthwaite).
+        Degrees of freedom count the blocks of time, less one, by Satterthwaite's formula: some
+        blocks tell more than others.
         """
         # How far the unknowns move without each block of time, in which errors may be alike.
         size = len(self.scale)
@@ -308,7 +308,7 @@ def _chosen(groups: list[list[Run]]) -> _Model:
 
 
 def _confirmed(groups: list[list[Run]], model: _Model, delays: Array) -> Mask:
-    """Tell of which joints (m,) recordings that are left out keep the compliance."""
+    """Return which joints' compliances (m,) recordings that are left out confirm."""
     joints = range(len(model.terms))
     if len(groups) == 1:
         return np.ones(len(joints), dtype=bool)

@@ -52,7 +52,7 @@ class DeflectionTerm:
         return np.stack([part**power for power in _POWERS], axis=1)
 
     def within(self, links: list[Array]) -> DeflectionTerm:
-        """Return the term for these positions of the link only, where it is one of the position."""
+        """Return the term; polynomials of the position are on the range of these positions."""
         return replace(self, numbers=_ends(links)) if self.kind == "position" else self
 
     @property

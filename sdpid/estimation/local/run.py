@@ -26,7 +26,7 @@ FEASIBLE_LOCAL = 1e-7
 UNCONSTRAINED = "consistency is 'none', nothing constrains; use solve_wls."
 
 # Solvers sometimes report success where they merely stopped making progress. Their word is
-# checked: a cost is an optimum's where it is above the proven bound by no more than this share.
+# checked: a point is optimal where its cost exceeds the proven bound by no more than this share.
 OPTIMAL = 1e-4
 
 
@@ -163,7 +163,7 @@ class LocalRun(ABC):
 # Of many starts of one problem it is found once.
 @kept
 def least_cost(problem: Problem) -> float:
-    """Return a bound that no feasible parameters cost less than, minus infinity without any."""
+    """Return a proven lower bound on the cost of feasible parameters, −∞ where there is none."""
     try:
         return proven_optimum(problem)[1].value
     except SolverError as error:

@@ -156,7 +156,7 @@ def choose_forward(
     squares = np.array([judged(each) for each in solved]) ** 2
     follows = np.isfinite(squares)
     if not follows.any():
-        # None was tried, or nothing follows at another one: that of the fit is all there is.
+        # No delay was tried, or no motion follows at another one: that of the fit is kept.
         at = best.drives.delay
         return ForwardChoice(delay=at, open=(at, at), **found), best
     # A few delays that no motion follows are as bad as the worst.

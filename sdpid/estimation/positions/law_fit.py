@@ -624,7 +624,7 @@ def _contradictions(
                 alike[joints] = np.median(times[joints])
             common = float(np.median(times))
             off = given["kp"] * (times / alike - 1.0)
-            # Of two joints both are as unlike their mean, but for rounding: the first is named.
+            # Two joints differ equally from their mean, but for rounding: the first is named.
             j = int(np.argmax(np.round(np.abs(times / alike - 1.0), 9)))
             stated = f"{given['kp'][j]:.3g} at {joint_names[j]}"
             better = f"about {given['kp'][j] + off[j]:.3g}"

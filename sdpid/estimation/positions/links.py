@@ -124,7 +124,7 @@ class JointNormal:
 
     @property
     def independent(self) -> Indices:
-        """Places of the base parameters, and of what comes behind the parameters."""
+        """Places of the base parameters, and of all that follows the standard parameters."""
         return np.append(self.problem.base.kept, np.arange(self.problem.n_theta, len(self.H)))
 
     def step(

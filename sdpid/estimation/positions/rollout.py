@@ -22,7 +22,7 @@ from sdpid.experiment.simulation.law import DriveCommands
 from sdpid.robot.model.dynamics import RobotDynamics
 
 # Newton's rounds end after a move of no position by more (rad or m): the next one is a hundredth of
-# it and less. Without success they end after so many, or after a move that is none.
+# it and less. Without success they end after so many, or at a move beyond `_LOST`.
 _SETTLED, _ROUNDS, _LOST = 1e-5, 15, 1e12
 
 # The robot's slopes are taken along the measured motion below this frequency, Hz: they change with
@@ -326,7 +326,7 @@ class LawRollout:
 
 
 def _line(time: Array, values: Array, when: Array) -> Array:
-    """Return values (N, …) joined by lines at other times."""
+    """Interpolate values (N, …) linearly at other times."""
     from scipy.interpolate import make_interp_spline
 
     return np.asarray(make_interp_spline(time, values, k=1, check_finite=False)(when))

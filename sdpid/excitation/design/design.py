@@ -173,9 +173,9 @@ def design_excitation(
     asked = Request(**given)
     task = Task.of(model, asked)
     search, rng = task.search, generator(seed)
-    homes, kept = task.held.homes(search.start, rng), _KEPT * (time.monotonic() - began)
-    limited = kept, _KEPT_SHARE
-    (best, check), found, stopped = designed(search, homes, rng, asked, began, limited)
+    homes = task.held.homes(search.start, rng)
+    kept = (_KEPT * (time.monotonic() - began), _KEPT_SHARE)
+    (best, check), found, stopped = designed(search, homes, rng, asked, began, kept)
     kind = search.criterion.objective.kind
     notes = [*task.notes, f"motion '{motion}': {MOTIONS[motion]}."]
     notes += [f"objective '{kind}': {WORDS[kind]}.", *_notes(found, stopped, time_limit)]

@@ -1,4 +1,4 @@
-"""What a design of an arm is asked for, resolved and checked, and the limits that it is held to."""
+"""Resolve and check the arguments of an arm's design, and hold its motion to limits."""
 
 from __future__ import annotations
 

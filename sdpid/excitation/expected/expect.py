@@ -1,4 +1,4 @@
-"""Say before a run what it will buy: the rows of its log as `sdpid.identify` will have them.
+"""Say before a run how well it will show parameters, from rows as `sdpid.identify` makes them.
 
 The motion is written down as a log at the trajectory's rate, with the efforts that a nominal robot
 has, and goes through the processing that `sdpid.identify` would choose: the same filter, the same

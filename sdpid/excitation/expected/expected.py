@@ -31,7 +31,7 @@ _HEADER = (
     "share of the prior",
 )
 
-# Of these, and of plain values, those that are called as the attributes.
+# Columns of base parameters, in tables and plain values, that have the names of attributes.
 _AS_CALLED = ("lower", "upper", "before", "prior_share")
 
 # Parameters that a sentence lists.

@@ -171,7 +171,7 @@ class LimitRow:
     def of(
         cls, sign: float, limit: float, worst: float, reached: float, allowed: float, **of: Any
     ) -> LimitRow:
-        """Build from values times a sign, so that limits are upper ones; `allowed` is let pass."""
+        """Build from values times a sign, which makes limits upper ones; held up to `allowed`."""
         verdict: Verdict = "broken" if reached > allowed else "undecided"
         return cls(
             side="lower" if sign < 0.0 else "upper",

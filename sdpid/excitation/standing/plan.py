@@ -1,4 +1,4 @@
-"""`StandingPlan`: a motion of a standing robot, its limits and what it will buy; and its folder."""
+"""`StandingPlan`: a motion of a standing robot, its limits, expected errors, and its folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motions of a robot on legs whose feet stay, the joints that make them, and what they tell."""
+"""Motions of a robot whose feet stay in place, its joints, and rows without the ground's forces."""
 
 from __future__ import annotations
 

@@ -293,7 +293,7 @@ _PLACED: tuple[Role, ...] = ("coupled", "offset", "behind", "spring")
 class Part(NamedTuple):
     """A term, the names of its parameters, and their values."""
 
-    # Of a class that its role says.
+    # Its class depends on its role.
     term: Any
     names: tuple[str, ...]
     values: Array

@@ -349,7 +349,7 @@ def is_xacro(found: Description) -> bool:
 
 
 def read_expanded(source: PathLike, arguments: Mapping[str, str] | None = None) -> Description:
-    """Return what `read_description` reads, of a xacro file the URDF that it stands for."""
+    """Read a description as `read_description` does, and expand it if it is a xacro file."""
     return expand_xacro(read_description(source), arguments)
 
 

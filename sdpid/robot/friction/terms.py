@@ -424,7 +424,7 @@ class Coupling(FrictionTerm):
         if isinstance(given, tuple):
             if len(given) != 1:
                 raise ModelError(f"Coupling: width is {given}; give one number for the motor.")
-            # As the data choose it.
+            # `with_values` gives a tuple of one.
             object.__setattr__(self, "width", given[0])
         super().__post_init__()
 

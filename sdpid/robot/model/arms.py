@@ -1,4 +1,4 @@
-"""Arms: refuse what is none, where only fixed open chains are known."""
+"""Refuse robots that are no arms, where only fixed open chains are known."""
 
 from __future__ import annotations
 

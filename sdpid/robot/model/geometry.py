@@ -228,6 +228,7 @@ def carrying_frame(
         raise ModelError(
             f"{what}: '{robot.name}' has no link '{link}'; its links are {', '.join(names)}."
         )
+    # Of frames with one name the first counts.
     number, frames = names.index(wanted), reversed(list(model.frames))
     if frame is None:
         return number, np.eye(3), np.zeros(3), f"of joint {model.names[number + 1]}"

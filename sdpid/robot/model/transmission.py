@@ -298,7 +298,7 @@ def factors_of(robot: RobotModel, way: Array) -> dict[str, float]:
 
 
 def followers(robot: RobotModel) -> Iterator[tuple[str, dict[str, float], float]]:
-    """Yield joints that follow those of `RobotModel.independent`, by which factors, and offsets."""
+    """Yield each joint that follows `RobotModel.independent` ones, their factors, its offset."""
     own = robot.independent()
     for row in (k for k in range(len(robot.expansion)) if k not in own):
         sources = factors_of(robot, robot.expansion[row, robot.n_base :])
@@ -318,7 +318,8 @@ def of_elements(root: Any, what: str) -> Transmission:
     Raises
     ------
     ModelError
-        When there are none, one is of a kind that is not known, or two move a joint otherwise.
+        When there are none, one is of a kind that is not known, or two move a joint in different
+        ways.
     """
     rows: dict[str, dict[str, float]] = {}
     owners: dict[str, str] = {}

@@ -250,7 +250,7 @@ def told_by(check: Check, recording: Recording, name: str, **known: Any) -> list
 
 @pytest.fixture
 def few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Look for delays in a third of the rows: findings are the same."""
+    """Look for delays in a third of the rows, which shows the same kinds of findings."""
     monkeypatch.setattr(delays, "_ROWS", 200)
 
 
