@@ -340,6 +340,7 @@ def factored(blocks: Array) -> Factor:
     """Factor the equations of blocks (3, K, m, m) on and below the diagonal, nearest first."""
     from scipy.linalg.lapack import dgbtrf
 
+    # In LAPACK's band storage: 3·m − 1 diagonals below, m − 1 above, and room to exchange rows.
     K, m = blocks.shape[1:3]
     band = np.zeros((7 * m - 2, K * m))
     for shift, own in enumerate(blocks):
