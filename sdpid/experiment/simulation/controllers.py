@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, update_wrapper
+from functools import cached_property
 from inspect import signature
 from typing import Any, ClassVar, NamedTuple
 
@@ -108,8 +108,8 @@ class Controller(ABC):
         """
 
 
-# How both are called.
-_CALLED = signature(Controller.effort)
+# What the effort of a controller depends on, in the order of its arguments.
+_STATES = tuple(signature(Controller.effort).parameters)[1:]
 
 
 class LoopGains(NamedTuple):
@@ -169,26 +169,40 @@ class JointLaw(Shown, Controller):
         """The model of the controller as the compiled loop takes it; None without one."""
         return None
 
-    def effort(self, *states: ArrayLike | None, **named: ArrayLike | None) -> Array:
-        """Return the efforts (K, n) at K samples."""
-        limit = self.gains.limit
-        return np.clip(self._unlimited(*self._checked(states, named)), -limit, limit)
+    def effort(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        reference: ArrayLike,
+        reference_velocity: ArrayLike,
+        reference_acceleration: ArrayLike | None = None,
+        integral: ArrayLike | None = None,
+    ) -> Array:
+        """Return the efforts (K, n) at K samples, as `Controller.effort` says."""
+        given = (position, velocity, reference, reference_velocity)
+        states = self._checked(*given, reference_acceleration, integral)
+        return np.clip(self._unlimited(*states), -self.gains.limit, self.gains.limit)
 
-    def slopes(self, *states: ArrayLike | None, **named: ArrayLike | None) -> tuple[Array, Array]:
-        """Return the slopes of the efforts, zero where these are at their limit."""
-        arrays = self._checked(states, named)
-        free = (np.abs(self._unlimited(*arrays)) < self.gains.limit)[..., None]
-        by_position, by_velocity = self._slopes(*arrays)
+    def slopes(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        reference: ArrayLike,
+        reference_velocity: ArrayLike,
+        reference_acceleration: ArrayLike | None = None,
+        integral: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:
+        """Return the slopes of the efforts, as `Controller.slopes` says."""
+        given = (position, velocity, reference, reference_velocity)
+        states = self._checked(*given, reference_acceleration, integral)
+        free = (np.abs(self._unlimited(*states)) < self.gains.limit)[..., None]
+        by_position, by_velocity = self._slopes(*states)
         return by_position * free, by_velocity * free
 
-    def _checked(
-        self, states: Sequence[ArrayLike | None], named: Mapping[str, ArrayLike | None]
-    ) -> list[Array]:
+    def _checked(self, *arrays: ArrayLike | None) -> list[Array]:
         """Return the arguments as arrays (K, n); what is missing and not needed is zero."""
-        bound = _CALLED.bind(self, *states, **named)
-        bound.apply_defaults()
         found: list[Array] = []
-        for name, values in [*bound.arguments.items()][1:]:
+        for name, values in zip(_STATES, arrays, strict=True):
             if values is None and name == "integral" and self.gains.integral.any():
                 raise DataError(
                     f"{type(self).__name__}: integral is missing; give the integral of the "
@@ -236,11 +250,6 @@ class JointLaw(Shown, Controller):
     def _tables(self) -> Iterator[Table]:
         own = {k: v.tolist() for k, v in self._settings.items() if isinstance(v, np.ndarray)}
         yield Table.of_columns({"joint": list(range(1, self.n + 1)), **own})
-
-
-# Help shows how they are called, and what with.
-for _name in ("effort", "slopes"):
-    update_wrapper(getattr(JointLaw, _name), getattr(Controller, _name), updated=())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
