@@ -92,7 +92,7 @@ def load_toml(path: PathLike, error: type[SdpidError] = DataError) -> dict[str, 
 def require_known(
     given: Iterable[object], known: Iterable[str], where: str, wrong: str = "is not known"
 ) -> None:
-    """Raise DataError when one of some names, of a file say, is none of those that are known."""
+    """Raise DataError where given names are not among known ones; `where` begins the message."""
     known = tuple(known)
     if unknown := sorted({f"{name!s:.80}" for name in given if name not in known}):
         raise DataError(f"{where}: {', '.join(unknown)} {wrong}; known are {', '.join(known)}.")

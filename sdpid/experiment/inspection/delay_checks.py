@@ -80,7 +80,7 @@ def late_velocities(subject: Subject, rows: FilteredRows) -> Iterator[Finding]:
     """Find recorded velocities that are late, or early, against the rate of the positions."""
     limit = max(_LEAST_DELAY, _LEAST_STEPS * rows.step)
     moves = moving(*subject.log.position_range)
-    # Another signal has no delay.
+    # Another signal has no delay; without recorded velocities there are no fits.
     lags = {
         name: -fit["lag"]
         for name, own, fit in zip(subject.log.names, moves, rows.velocity_fits, strict=False)

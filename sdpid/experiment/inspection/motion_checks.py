@@ -295,6 +295,7 @@ def directions_and_rest(subject: Subject, rows: FilteredRows) -> Iterator[Findin
 def velocities(subject: Subject, rows: FilteredRows) -> Iterator[Finding]:
     """Find velocities that are not the rate of the positions, and stamps that run wrong."""
     fast = np.sqrt(np.mean(rows.velocity**2, axis=0)) >= _LEAST_SPEED
+    # Without recorded velocities there are no fits.
     told = zip(subject.log.names, fast, rows.velocity_fits, strict=False)
     fits = {name: fit for name, moves, fit in told if moves and fit["correlation"] >= _CORRELATED}
     scales = np.array([fit["scale"] for fit in fits.values()])

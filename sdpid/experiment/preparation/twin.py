@@ -60,7 +60,7 @@ class Twin:
     logs: tuple[Recording, ...]
     processing: Processing
     measured: Samples
-    # Of all pieces, one after the other; why, where one is too short.
+    # Of each piece, in order: how it is processed, or why it is too short.
     _pipelines: tuple[Pipeline | str, ...]
 
     @classmethod

@@ -98,7 +98,7 @@ class Pipeline:
 
     @staticmethod
     def of(log: Recording, processing: Processing) -> Pipeline | str:
-        """Return what settings make of a record without gaps, or why it is too short.
+        """Return how settings process a record without gaps, or why it is too short.
 
         Raises
         ------

@@ -463,7 +463,7 @@ class Contacts(Sampled):
 
 
 def one_kind_each(given: Any, count: int) -> tuple[ContactKind, ...]:
-    """Return what kinds several contacts are, of which one is that of all."""
+    """Return the kind of each of several contacts; one that is given is that of all."""
     kinds, known = (given,) if isinstance(given, str) else tuple(given), get_args(ContactKind)
     require_known(kinds, known, "contacts.kind")
     if len(kinds) not in (1, count):
