@@ -19,15 +19,9 @@ _CURRENTS = {"A": 1.0, "mA": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": _DEGREE, "turn": 2.0 * np.pi, "m": 1.0, "mm": 1e-3}
 _TURNING = {"rad/s": 1.0, "deg/s": _DEGREE}
 _XYZ = ("x", "y", "z")
-_POSITIONS = (
-    *("q", "position", "positions", "pos", "joint_position", "joint_positions"),
-    *("angle", "dof_pos"),
-)
+_POSITIONS = "q position positions pos joint_position joint_positions angle dof_pos"
 # Words of positions that are commanded, and not what the robot did.
-_COMMANDS = (
-    *("reference", "ref", "desired", "des", "commanded", "command"),
-    *("cmd", "target", "setpoint"),
-)
+_COMMANDS = "reference ref desired des commanded command cmd target setpoint"
 _IN_ANGLES = {"deg": "deg", "rad": "rad"}
 
 
@@ -89,8 +83,8 @@ QUANTITIES: dict[str, Quantity] = {
     # What is commanded may be a velocity or a torque as well: the name must say position.
     "reference": Quantity(
         (
-            *(f"{name}_{word}" for name in _POSITIONS for word in _COMMANDS),
-            *(f"{word}_{name}" for name in _POSITIONS for word in _COMMANDS),
+            *(f"{name}_{word}" for name in _POSITIONS.split() for word in _COMMANDS.split()),
+            *(f"{word}_{name}" for name in _POSITIONS.split() for word in _COMMANDS.split()),
             *("q_d", "reference", "commanded"),
         ),
         _ANGLES,
