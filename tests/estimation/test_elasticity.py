@@ -204,7 +204,8 @@ def test_joints_with_one_encoder_are_left_out():
 
 
 REFUSED = [
-    (lambda: sdpid.identify_elasticity(rigid(), []), "no recording is given"),
+    (lambda: sdpid.identify_elasticity(rigid(), []), "log: there are none; give at least one"),
+    (lambda: sdpid.identify_elasticity(rigid(), 3), "log: is or holds"),  # type: ignore[arg-type]
     (lambda: sdpid.identify_elasticity(3, log(1)), "estimate: is int; give what"),
     (
         lambda: sdpid.identify_elasticity(rigid(), replace(log(1), link_position=None)),
@@ -246,3 +247,10 @@ def test_joints_have_delays_of_their_own_where_recordings_ask_for_more():
     # From one recording a single delay is taken.
     alone = sdpid.identify_elasticity(rigid(), mixed(1), ROTORS)
     assert len({*alone.delay_s.tolist()}) == 1
+
+
+def test_joints_that_stand_still_in_one_recording_keep_their_stiffness():
+    """The others tell it; where the joint stands, its link gives way under what others do."""
+    still = log(2, reach=np.array([0.3, 0.0, 0.3]))
+    told = sdpid.identify_elasticity(rigid(), [log(1), still, log(3)], rotor_inertia=ROTORS)
+    assert abs(told.stiffness[1] / STIFFNESS[1] - 1.0) < 0.02

@@ -29,6 +29,7 @@ def log(
     noise: float = 2e-5,
     late: float = DELAY,
     stiffness: Array = STIFFNESS,
+    reach: Array | float = 0.3,
 ) -> sdpid.Recording:
     """Return a recording of gears that give way by the links' torque, links read late.
 
@@ -41,7 +42,7 @@ def log(
     def at(time: Array, order: int = 0) -> Array:
         angle = rates * time[:, None, None] + phases
         waves = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))[order]
-        return np.asarray(0.3 * waves.sum(axis=2))
+        return np.asarray(reach * waves.sum(axis=2))
 
     time = np.arange(0.0, SECONDS, 1.0 / RATE)
 

@@ -153,8 +153,21 @@ REFUSED = [
     (lambda: Hysteresis("joint_2", 0.1), "slips are 0.1; give positive numbers"),  # type: ignore[arg-type]
     (lambda: PositionTerm(((0.0, 0.0), (1.0, 2.0)), "c", joint="joint_2"), "do not rise"),
     (lambda: PositionTerm("sin", "c", joint="joint_2"), "give a function of positions, or two"),
+    (lambda: PositionTerm(((), ()), "c", joint="joint_2"), "give a function of positions, or two"),
+    (lambda: PositionTerm(np.sin, "", joint="joint_2"), "name is ''; give a text"),
+    (lambda: PositionTerm(np.sin, "c", joint="joint_2", count=0), "count is 0; .* from 1 to 26"),
+    (lambda: PositionTerm(np.sin, "c", joint="joint_2", count="x"), "count is 'x'; give"),  # type: ignore[arg-type]
+    (lambda: PositionTerm(np.sin, "c", joint="joint_2", value=np.nan), "value is nan; give"),
+    (
+        lambda: PositionTerm(np.sin, "c", joint="joint_2", value=-1.0, nonnegative=True),
+        "value is -1.0; give a finite number from 0 on",
+    ),
+    (lambda: Spring("joint_2", 1.0, 0.0, polynomial="ab"), "Spring: polynomial: not a rectangular"),  # type: ignore[arg-type]
+    (lambda: Spring("joint_2", 1.0, 0.0, polynomial=3.0), "Spring: polynomial: has 0 axes"),  # type: ignore[arg-type]
+    (lambda: Spring(2).parameters(("a",)), "Spring: joint is 2; give the name of a joint"),  # type: ignore[arg-type]
     (lambda: AtJoints(Spring("joint_2"), ("joint_2",)), "is no term of several joints"),
     (lambda: columns(Spring("elbow")), "has no joint 'elbow'; it has joint_1"),
+    (lambda: columns(PositionTerm(lambda q: "x", "c", joint="joint_2")), "returned the shape"),  # type: ignore[arg-type,return-value]
     (
         lambda: columns(PositionTerm(lambda q: q[:1], "c", joint="joint_2")),
         "returned the shape .* for 5 positions; give 1 finite value",

@@ -24,7 +24,9 @@ from sdpid.estimation.elasticity.terms import DeflectionTerm, candidates
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import Posterior
 from sdpid.experiment.inspection.block_fit import BLOCKS
+from sdpid.experiment.preparation.prepare import Logs, read_logs
 from sdpid.experiment.recording.joints import FOLLOWS, two_encoders
+from sdpid.experiment.recording.plausible import moving
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -135,7 +137,7 @@ class _Solution(NamedTuple):
 
 def identify_elasticity(
     estimate: Any,
-    log: Recording | Sequence[Recording],
+    log: Logs,
     rotor_inertia: ArrayLike | None = None,
 ) -> Elasticity:
     """Identify how far the gears of a robot give way under load, from encoders on both sides.
@@ -145,9 +147,9 @@ def identify_elasticity(
     estimate : Estimate or Identification
         The rigid robot, identified from the motors' encoders. Its links tell the torques through
         the gears.
-    log : Recording or sequence of Recording
+    log : Recording, path or data frame, or a sequence of these
         With positions of motors and links (`Recording.link_position`). Joints whose two positions
-        are the same have one encoder.
+        are the same in any recording in which they move have one encoder.
     rotor_inertia : float or (n,) array_like, optional
         Inertia of the rotors seen from behind the gears, kg·m² (kg of sliding joints); NaN where it
         is unknown. By default those that were identified; where the motion cannot tell a rotor
@@ -192,7 +194,7 @@ def identify_elasticity(
             f"elasticity: the base of '{robot.name}' floats; identify the robot "
             "on a fixed base (Recording.with_held_base)."
         )
-    logs = [log] if isinstance(log, Recording) else list(log)
+    _, logs = read_logs(robot, log)
     joints = _measured(robot, logs)
     rotors, shown, identified = _rotors(estimate, rotor_inertia)
     stride = -(-sum(each.n_samples for each in logs) // _SAMPLES)
@@ -240,17 +242,19 @@ def identify_elasticity(
 
 
 def _measured(robot: RobotModel, logs: Sequence[Recording]) -> Indices:
-    """Return the joints that have two encoders in all recordings."""
-    if not logs:
-        raise DataError("elasticity: no recording is given.")
-    found = np.ones(robot.n, dtype=bool)
+    """Return the joints that have two encoders in all recordings in which they move."""
+    told, lost = np.zeros(robot.n, dtype=bool), np.zeros(robot.n, dtype=bool)
     for number, log in enumerate(logs, start=1):
         if log.link_position is None:
             raise DataError(
                 f"elasticity: recording {number} has no positions of links; give "
                 "Recording(link_position=...), or columns called link_position_<joint>."
             )
-        found &= two_encoders(max(pieces_of(robot, log), key=lambda piece: piece.n_samples))
+        longest = max(pieces_of(robot, log), key=lambda piece: piece.n_samples)
+        both = two_encoders(longest)
+        told |= both
+        lost |= ~both & moving(*longest.position_range)
+    found = told & ~lost
     if not found.any():
         raise DataError(
             "elasticity: no joint has a second encoder: positions of links repeat those of motors, "

@@ -65,8 +65,8 @@ class FrictionModel:
         ModelError
             For an unknown name, a term given twice, or a joint that the robot does not have.
         """
-        if isinstance(terms, str):
-            raise ModelError(f"friction: give a tuple of terms, such as ('{terms}',).")
+        if isinstance(terms, str | FrictionTerm):
+            raise ModelError(f"friction: give a tuple of terms, such as ({terms!r},).")
         objects = []
         for term in terms:
             if isinstance(term, FrictionTerm):

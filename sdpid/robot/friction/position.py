@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, is_number, real_array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.term import (
     EffortCurve,
@@ -24,6 +24,8 @@ from sdpid.robot.friction.term import (
 
 # Parameters of a spring that is not linear.
 _BENT = ("Kq", "Kc")
+# Parameters of one term at most, each of which has a letter.
+_LETTERS = 26
 # The number of a joint at the end of a parameter's name.
 _NUMBER = re.compile(r"\d+$")
 # A parameter: symbol, unit, whether it is not negative, and its value where that is known.
@@ -38,6 +40,10 @@ class OneJoint(OfPosition):
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return the parameters, called by the joint's number, or its name where it has none."""
+        if not isinstance(self.joint, str):
+            raise ModelError(
+                f"{type(self).__name__}: joint is {self.joint!r:.80}; give the name of a joint."
+            )
         known = self.joint in joint_names
         place = joint_names.index(self.joint) if known else 0
         end = str(place + 1) if known else f"_{self.joint}"
@@ -128,11 +134,12 @@ class Spring(OneJoint):
     def __post_init__(self) -> None:
         for name in ("stiffness", "rest"):
             value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | float) and np.isfinite(value)):
+            if value is not None and not (is_number(value) and np.isfinite(value)):
                 raise ModelError(f"Spring: {name} is {value!r:.80}; give a finite number.")
-        object.__setattr__(self, "polynomial", tuple(self.polynomial))
-        bent = self.polynomial
-        if len(bent) > len(_BENT) or not np.isfinite(bent).all() or (bent and self.rest is None):
+        given = self.polynomial
+        factors = real_array(given, "Spring: polynomial", ndim=1, error=ModelError)
+        object.__setattr__(self, "polynomial", bent := tuple(factors.tolist()))
+        if len(bent) > len(_BENT) or (bent and self.rest is None):
             raise ModelError(
                 f"Spring: polynomial is {bent!r:.80}; give at most two finite numbers, and the "
                 "rest with them."
@@ -204,14 +211,28 @@ class PositionTerm(OneJoint):
     value: float | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise ModelError(f"PositionTerm: name is {self.name!r:.80}; give a text.")
+        if not is_number(self.count) or self.count not in range(1, _LETTERS + 1):
+            raise ModelError(
+                f"PositionTerm {self.name}: count is {self.count!r:.80}; give a whole number from "
+                f"1 to {_LETTERS}."
+            )
+        # Files of results hold all numbers as decimals.
         object.__setattr__(self, "count", int(self.count))
+        value, least = self.value, 0.0 if self.nonnegative else -np.inf
+        if value is not None and not (is_number(value) and np.isfinite(value) and value >= least):
+            more = " from 0 on" if self.nonnegative else ""
+            raise ModelError(
+                f"PositionTerm {self.name}: value is {value!r:.80}; give a finite number{more}."
+            )
         if callable(self.function):
             return
         try:
             table = np.asarray(self.function, dtype=np.float64)
         except (TypeError, ValueError):
             table = np.zeros(0)
-        if table.ndim != 2 or len(table) != 2 or not np.isfinite(table).all():
+        if table.ndim != 2 or len(table) != 2 or not table.size or not np.isfinite(table).all():
             raise ModelError(
                 f"PositionTerm {self.name}: function is {self.function!r:.80}; give a function of "
                 "positions, or two tuples of as many finite numbers: positions and efforts."
@@ -232,7 +253,10 @@ class PositionTerm(OneJoint):
             if callable(self.function)
             else np.interp(position, *self.function)
         )
-        shapes = np.asarray(found, dtype=np.float64)
+        try:
+            shapes = np.asarray(found, dtype=np.float64)
+        except (TypeError, ValueError):
+            shapes = np.zeros(())
         if shapes.shape not in ((len(position),) * (self.count == 1), (len(position), self.count)):
             shapes = np.full(1, np.nan)
         if not np.isfinite(shapes).all():
@@ -287,7 +311,7 @@ class Hysteresis(OneJoint):
     def __post_init__(self) -> None:
         given: Any = self.slips
         slips = given if isinstance(given, Sequence) else ()
-        if not slips or not all(isinstance(s, int | float) and 0.0 < s < np.inf for s in slips):
+        if not slips or not all(is_number(s) and 0.0 < s < np.inf for s in slips):
             raise ModelError(f"Hysteresis: slips are {self.slips!r:.80}; give positive numbers.")
 
     def _symbols(self) -> Iterable[Symbol]:
