@@ -18,6 +18,7 @@ from sdpid.friction import (
     Coulomb,
     Hysteresis,
     Offset,
+    PositionFriction,
     PositionTerm,
     RotorInertia,
     Spring,
@@ -226,6 +227,31 @@ def test_results_are_saved_verified_and_loaded(tmp_path: Path):
     np.testing.assert_array_equal(
         loaded.inverse_dynamics(*states), result.model().inverse_dynamics(*states)
     )
+
+
+@pytest.mark.parametrize(
+    ("transmission", "terms", "asked"),
+    [
+        (WRIST, ("viscous", "offset"), {}),
+        (WRIST, ("viscous", "offset"), {"offsets": True}),
+        (None, ("viscous", PositionFriction((-1.0,) * 5, (1.0,) * 5)), {"tendons": True}),
+    ],
+)
+def test_files_are_verified_as_they_were_asked_for(
+    tmp_path: Path, transmission: Any, terms: tuple[Any, ...], asked: dict[str, bool]
+):
+    """Drives of several joints are actuators too, as offsets are, and fixed tendons."""
+    robot = described(transmission)
+    q, v, a = motion(robot.n)
+    effort = robot.inverse_dynamics(robot.prior, q, v, a) + v + 0.1
+    effort += np.random.default_rng(0).normal(0.0, 0.02, effort.shape)
+    time = 0.01 * np.arange(len(q))
+    log = sdpid.Recording(time=time, position=q, effort=effort, joint_names=robot.joint_names)
+    result = sdpid.identify(robot, log, friction=terms, effects="none", intervals=False)
+    result.save(tmp_path / "results", **asked)  # type: ignore[arg-type]
+    found = sdpid.verify(tmp_path / "results", data=log)
+    assert found.passed, found.problems
+    assert any("is the same" in each and "identified.xml" in each for each in found.made_again)
 
 
 KEPT = [

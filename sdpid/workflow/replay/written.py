@@ -239,9 +239,11 @@ class Files:
         if path.name == URDF:
             return write_urdf(estimate, target=path)
         if path.name == MJCF:
-            # With offsets where that of the folder was asked to have them.
-            asked = b"<actuator>" in read_bytes(self.sealed.folder / MJCF, _LARGEST)
-            return write_mjcf(estimate, target=path, offsets=asked)
+            # As that of the folder was asked for: drives are motors and fixed tendons, offsets and
+            # friction over position are not.
+            text = read_bytes(self.sealed.folder / MJCF, _LARGEST)
+            offsets, tendons = b"<general " in text, b"<spatial " in text
+            return write_mjcf(estimate, target=path, offsets=offsets, tendons=tendons)
         if path.name == RESULT:
             return path.write_text(json_text(self._of_result()), encoding="utf-8")
         ends = self.intervals
