@@ -205,7 +205,7 @@ def test_joints_with_one_encoder_are_left_out():
 
 REFUSED = [
     (lambda: sdpid.identify_elasticity(rigid(), []), "log: there are none; give at least one"),
-    (lambda: sdpid.identify_elasticity(rigid(), 3), "log: is or holds"),  # type: ignore[arg-type]
+    (lambda: sdpid.identify_elasticity(rigid(), 3), "log: is or holds"),
     (lambda: sdpid.identify_elasticity(3, log(1)), "estimate: is int; give what"),
     (
         lambda: sdpid.identify_elasticity(rigid(), replace(log(1), link_position=None)),

@@ -211,21 +211,21 @@ class PositionTerm(OneJoint):
     value: float | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise ModelError(f"PositionTerm: name is {self.name!r:.80}; give a text.")
-        if not is_number(self.count) or self.count not in range(1, _LETTERS + 1):
-            raise ModelError(
-                f"PositionTerm {self.name}: count is {self.count!r:.80}; give a whole number from "
-                f"1 to {_LETTERS}."
-            )
+        value, least = self.value, 0.0 if self.nonnegative else -np.inf
+        known = value is None or (is_number(value) and np.isfinite(value) and value >= least)
+        whole = is_number(self.count) and self.count in range(1, _LETTERS + 1)
+        for name, good, asked in (
+            ("name", isinstance(self.name, str) and self.name, "a text"),
+            ("count", whole, f"a whole number from 1 to {_LETTERS}"),
+            ("value", known, "a finite number" + " from 0 on" * self.nonnegative),
+        ):
+            if not good:
+                given = getattr(self, name)
+                raise ModelError(
+                    f"PositionTerm {self.name}: {name} is {given!r:.80}; give {asked}."
+                )
         # Files of results hold all numbers as decimals.
         object.__setattr__(self, "count", int(self.count))
-        value, least = self.value, 0.0 if self.nonnegative else -np.inf
-        if value is not None and not (is_number(value) and np.isfinite(value) and value >= least):
-            more = " from 0 on" if self.nonnegative else ""
-            raise ModelError(
-                f"PositionTerm {self.name}: value is {value!r:.80}; give a finite number{more}."
-            )
         if callable(self.function):
             return
         try:
