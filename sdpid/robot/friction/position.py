@@ -217,7 +217,7 @@ class PositionTerm(OneJoint):
         for name, good, asked in (
             ("name", isinstance(self.name, str) and self.name, "a text"),
             ("count", whole, f"a whole number from 1 to {_LETTERS}"),
-            ("value", known, "a finite number" + " from 0 on" * self.nonnegative),
+            ("value", known, f"a finite number{' from 0 on' if self.nonnegative else ''}"),
         ):
             if not good:
                 given = getattr(self, name)

@@ -239,8 +239,8 @@ class Files:
         if path.name == URDF:
             return write_urdf(estimate, target=path)
         if path.name == MJCF:
-            # As that of the folder was asked for: drives are motors and fixed tendons, offsets and
-            # friction over position are not.
+            # As that of the folder was asked for: offsets are general actuators, and friction over
+            # position is at spatial tendons; drives are motors and fixed tendons.
             text = read_bytes(self.sealed.folder / MJCF, _LARGEST)
             offsets, tendons = b"<general " in text, b"<spatial " in text
             return write_mjcf(estimate, target=path, offsets=offsets, tendons=tendons)
