@@ -134,6 +134,18 @@ def test_mujoco_asks_for_the_same_efforts(tmp_path: Path, transmission: Any):
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
+def test_springs_of_a_motor_and_of_its_joint_are_one_in_mujoco(tmp_path: Path):
+    robot = described({"joints": {"joint_3": {"belt": -0.5, "offset": 0.2}}})
+    bent = Spring("joint_3", 20.0, 0.1, (3.0, 40.0))
+    for joint in (bent, Spring("joint_3", 20.0, 0.1)):
+        estimate = identified(robot, ("viscous", joint, Spring("belt", 5.0, 0.3)))
+        assert not sdpid.write_mjcf(estimate, target=tmp_path / "arm.xml").left_out
+        states = [each[::50] for each in motion(robot.n)]
+        expected = estimate.model().inverse_dynamics(*states)
+        found = in_mujoco(tmp_path / "arm.xml", robot, *states)
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
 def test_a_floating_base_in_mujoco(tmp_path: Path):
     robot = sdpid.load_robot("solo12", root="free_flyer", transmission={"joints": LEGS})
     q, v, a = generic_states(robot, 200, seed=3)

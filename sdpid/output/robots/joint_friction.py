@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.described import (
@@ -251,8 +252,10 @@ class Seats:
             joint, factor = self._robot.seat(name)
             shift = self._robot.way({joint: 1.0})[1] if joint and name in self._joints else 0.0
             place = found.setdefault(joint, {}) if joint else {}
-            for key, value in of_position(attributes, factor, shift).items():
-                place[key] = value + place[key] if key in place else value
+            own = of_position(attributes, factor, shift)
+            springs = one_spring([each for each in (place, own) if "stiffness" in each])
+            for key, value in own.items():
+                place[key] = springs[key] if key in springs else value + place.get(key, 0.0)
         return found
 
     def tendons(self) -> dict[str, Tendon]:
@@ -260,6 +263,21 @@ class Seats:
         units = zip(self._joints, np.eye(len(self._joints)), strict=True)
         alone = {name: unit for name, unit in units if not self._robot.seat(name)[0]}
         return {name: Tendon(unit, self._held.get(name, {})) for name, unit in alone.items()}
+
+
+def one_spring(springs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return stiffness and rest of springs, about one position, together."""
+    if len(springs) < 2:
+        return {key: each[key] for each in springs for key in ("stiffness", "springref")}
+    effort = Polynomial([0.0])
+    for each in springs:
+        way = Polynomial([-each["springref"], 1.0])
+        effort = effort + way * Polynomial(np.atleast_1d(each["stiffness"]))(way)
+    # A cubic effort may be zero at several positions: all springs do the same about any.
+    roots = effort.roots()
+    rest = float(roots[np.argmin(np.abs(roots.imag))].real)
+    powers = effort(Polynomial([rest, 1.0])).coef[1:].tolist()
+    return {"stiffness": powers if len(powers) > 1 else powers[0], "springref": rest}
 
 
 def of_position(attributes: Mapping[str, Any], factor: float, shift: float) -> dict[str, Any]:
