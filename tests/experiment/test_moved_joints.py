@@ -141,3 +141,23 @@ def test_stiffness_of_springs_is_told(count: int):
     model, (q, _, _) = moved(Spring("joint_3", rest=0.0)), states(3, count)
     E = model.robot.expansion[2]
     np.testing.assert_allclose(model.stiffness(q), np.tile(2.0 * np.outer(E, E), (count, 1, 1)))
+
+
+@pytest.mark.parametrize("gear", [20.0, 100.0])
+def test_motors_in_front_of_gears_are_as_fast_and_turn_as_far_as_gears_let_them(gear: float):
+    """What is degrees or a jump of a joint is no more than the motion of its motor."""
+    text = described_arm(random_links(np.random.default_rng(3), 4)).urdf
+    robot = sdpid.load_robot(text, transmission=sdpid.Transmission(np.eye(4) / gear))
+    time, rates = np.arange(0.0, 10.0, 0.005), np.array([3.0, 4.0, 5.0, 6.0])
+    angle = time[:, None] * rates
+    position = gear * np.sin(angle)
+    states = position, gear * rates * np.cos(angle), -(rates**2) * position
+    effort = robot.inverse_dynamics(robot.prior, *states)
+    log = sdpid.Recording(time=time, position=position, effort=effort)
+    wrong = {"position_jumps", "position_in_degrees"}
+    assert wrong & {each.kind for each in sdpid.inspect_recording(log).findings}
+    assert not wrong & {each.kind for each in sdpid.inspect_recording(log, robot).findings}
+    sdpid.identify(robot, log, friction=("viscous",), effects="none", intervals=False)
+    position[700] += 2.0 * gear
+    log = sdpid.Recording(time=time, position=position, effort=effort)
+    assert not sdpid.inspect_recording(log, robot).ok

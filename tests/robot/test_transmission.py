@@ -13,13 +13,15 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.friction import AtJoints, Hysteresis, LoadFriction, Offset, PositionTerm, Spring, Viscous
+from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.position import play
 from sdpid.robot.friction.term import SampledMotion
-from sdpid.robot.model.base_parameters import generic_states
+from sdpid.robot.model.base_parameters import generic_states, structural_base
 from sdpid.robot.model.closure import close_loops
+from tests.helpers.data import random_links
 from tests.helpers.linkages import urdf
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import TREE, TREE_MIMIC
+from tests.helpers.robots import TREE, TREE_MIMIC, described_arm
 from tests.helpers.strategies import SEEDS, random_states
 
 NAMES = ("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6")
@@ -275,3 +277,22 @@ def test_load_friction_behind_a_transmission_is_that_of_the_motors():
     found = columns(LoadFriction(bodies=bodies, width=0.1), robot)
     load = np.abs(robot.efforts_of_bodies(robot.prior, q, v, a)) * np.tanh(v / 0.1)
     np.testing.assert_allclose(np.einsum("knn->kn", found), load, atol=1e-9)
+
+
+@pytest.mark.parametrize("gears", [(30.0, -30.0, 30.0, 30.0), (100.0, 1.0, -160.0, 3000.0)])
+def test_gears_leave_the_base_parameters_as_they_are(gears: tuple[float, ...]):
+    text = described_arm(random_links(np.random.default_rng(3), 4)).urdf
+    plain, motors = sdpid.load_robot(text), tuple(f"motor_{k}" for k in range(4))
+    geared = sdpid.load_robot(
+        text, transmission=sdpid.Transmission(np.diag(1.0 / np.array(gears)), names=motors)
+    )
+    bases = []
+    for robot in (plain, geared):
+        model = FrictionModel.from_terms(("viscous", "offset"), robot.joint_names)
+        bases.append(structural_base(robot, model))
+    # Friction is listed where its motor's joint is, if that has its name.
+    each = [dict(zip(base.names, base.matrix, strict=True)) for base in bases]
+    assert each[0].keys() == each[1].keys()
+    for name in each[0]:
+        links = [base[name][: plain.prior.size] for base in each]
+        np.testing.assert_allclose(links[1], links[0], atol=1e-9)

@@ -11,7 +11,7 @@ from sdpid.experiment.inspection.kinds import KINDS, Finding, found, note, refus
 from sdpid.experiment.inspection.rows import FilteredRows, follows
 from sdpid.experiment.inspection.subject import Subject, check
 from sdpid.experiment.recording.gaps import MAX_GAP_STEPS, told_clock
-from sdpid.experiment.recording.plausible import AT_REST, moving, suspect_units
+from sdpid.experiment.recording.plausible import AT_REST, moving, suspect_units, turning_limits
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import middle
 
@@ -231,7 +231,7 @@ def repeated_rows(subject: Subject) -> Iterator[Finding]:
 def degrees(subject: Subject) -> Iterator[Finding]:
     """Find positions in degrees."""
     robot = subject.fixed
-    limits = None if robot is None else robot.position_limits[robot.n_base :]
+    limits = None if robot is None else turning_limits(robot)
     suspects = suspect_units(subject.log, limits)
     if suspects:
         yield found("position_in_degrees", seen=f": {', '.join(suspects)}", mended="")
@@ -241,24 +241,28 @@ def degrees(subject: Subject) -> Iterator[Finding]:
 def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
     """Find joints that never move, and positions that jump."""
     low, high = subject.log.position_range
+    robot = subject.robot
+    gears = np.ones(subject.log.n) if robot is None else robot.gears[robot.n_base :]
     for j, (name, reach) in enumerate(zip(subject.log.names, (high - low).tolist(), strict=True)):
         # A joint without a motor moves as far as its loop moves it: nobody can excite it.
         if reach < AT_REST and name not in subject.passive:
             moved = "never moves" if reach == 0.0 else f"moves by {reach:.3g} rad only"
             yield found("joint_at_rest", name, moved=moved, range=reach, limit=AT_REST)
             continue
-        steps = [_fastest_step(piece, j) for piece in subject.pieces]
+        # Motors are as much faster as their gears make the joints slower.
+        limit = _FASTEST * float(gears[j])
+        steps = [_fastest_step(piece, j, limit) for piece in subject.pieces]
         speed, jump, time = max(steps, default=(0.0, 0.0, 0.0))
-        if speed > _FASTEST:
+        if speed > limit:
             numbers = {"jump": jump, "size": abs(jump), "row": subject.row(time), "speed": speed}
-            yield found("position_jumps", name, limit=_FASTEST, **numbers)
+            yield found("position_jumps", name, limit=limit, **numbers)
 
 
-def _fastest_step(piece: Recording, j: int) -> tuple[float, float, float]:
+def _fastest_step(piece: Recording, j: int, limit: float) -> tuple[float, float, float]:
     """Return speed and size of a joint's fastest step, and when it ends; 0 if none is too fast."""
     time = np.asarray(piece.time)
     steps, durations = np.diff(piece.position[:, j]), np.diff(time)
-    if not np.any(np.abs(steps) > _FASTEST * durations):
+    if not np.any(np.abs(steps) > limit * durations):
         return 0.0, 0.0, 0.0
     rows = np.flatnonzero(steps)
     waited = np.diff(time[rows + 1], prepend=time[0])

@@ -25,6 +25,7 @@ from sdpid.experiment.readers.scaled import require_measured
 from sdpid.experiment.recording.floating import BaseMotion, Imu
 from sdpid.experiment.recording.gaps import RETIMED, continuous
 from sdpid.experiment.recording.joints import lacking, match_joints, require_its_base
+from sdpid.experiment.recording.plausible import turning_limits
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.dynamics import spring_efforts
 from sdpid.robot.model.model import RobotModel
@@ -256,7 +257,7 @@ class Subject:
         if processing.contact_force_std is not None and named.contacts:
             reach = round(processing.contact_margin_s / named.step)
             named = replace(named, contacts=carried(named.contacts, reach))
-        limits = robot.position_limits[robot.n_base :]
+        limits = turning_limits(robot)
         samples = process(named, processing, position_limits=limits, gravity=robot.gravity.tolist())
         if robot.n_base:
             samples = replace(samples, joint_names=robot.joint_names)

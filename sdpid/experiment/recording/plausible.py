@@ -60,6 +60,13 @@ def moving(low: Array, high: Array) -> Mask:
     return np.asarray(reach > max(AT_REST, _DRAGGED * float(reach.max(initial=0.0))))
 
 
+def turning_limits(robot: Any) -> Array:
+    """Return limits of a robot's positions, (n, 2); motors without turn as far as their joints."""
+    reach = np.where(robot.gears > 1.0, _TWO_TURNS * robot.gears, np.inf)
+    limits, none = robot.position_limits, np.stack([-reach, reach], axis=1)
+    return np.asarray(np.where(np.isfinite(limits), limits, none)[robot.n_base :])
+
+
 def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[str, ...]:
     """Name the joints whose positions look like degrees.
 

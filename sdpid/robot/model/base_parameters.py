@@ -158,7 +158,9 @@ def generic_states(robot: RobotModel, count: int, seed: int) -> tuple[Array, Arr
         q = np.hstack([q[:, :3], turn, q[:, 6:]])
     v = rate * rng.uniform(-1.5, 1.5, (count, n))
     a = rate**2 * rng.uniform(-1.5, 1.5, (count, n))
-    return q, v, a
+    # Motors move as much more as gears make the joints move less.
+    q[:, robot.n_base - n :] *= robot.gears[robot.n_base :]
+    return q, v * robot.gears, a * robot.gears
 
 
 def characteristic_length(robot: RobotModel) -> float:
@@ -187,7 +189,7 @@ def _generic_rows(robot: RobotModel, friction: FrictionModel, seed: int) -> Arra
         more[1][:, robot.n_base :] = speeds * rng.uniform(-1.5, 1.5, speeds.shape)
         q, v, a = (np.concatenate(pair) for pair in zip((q, v, a), more, strict=True))
     first, rng = friction.first, np.random.default_rng(seed + 4)
-    ways = rng.choice([-1.0, 1.0], v.shape) * 10.0 ** rng.uniform(*_WAYS, v.shape)
+    ways = rng.choice([-1.0, 1.0], v.shape) * 10.0 ** rng.uniform(*_WAYS, v.shape) * robot.gears
     turns = q.copy()
     turns[:, first - robot.n :] += ways[:, first:]
 

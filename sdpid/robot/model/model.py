@@ -359,6 +359,11 @@ class RobotModel:
                 limits[column] = own - self.offset[joint.idx_v]
         return limits
 
+    @property
+    def gears(self) -> Array:
+        """How far each coordinate moves for one of the joint it moves most, (n,), at least 1."""
+        return np.asarray(1.0 / np.minimum(np.abs(self.expansion).max(axis=0), 1.0))
+
     def described_friction(self) -> tuple[Array, Array]:
         """Return viscous and Coulomb friction of each coordinate in the description, (n,) each."""
         damping, friction = np.array(self.pin_model.damping), np.array(self.pin_model.friction)
