@@ -11,7 +11,7 @@ import pytest
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.errors import ModelError
+from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.friction import (
     AtJoints,
@@ -144,6 +144,10 @@ def test_springs_of_a_motor_and_of_its_joint_are_one_in_mujoco(tmp_path: Path):
         expected = estimate.model().inverse_dynamics(*states)
         found = in_mujoco(tmp_path / "arm.xml", robot, *states)
         np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    restless = Spring("joint_3", 20.0, 0.0, (100.0,)), Spring("belt", 5.0, 2.0)
+    estimate = identified(robot, ("viscous", *restless))
+    target = tmp_path / "none.xml"
+    refuses(ExportError, "nowhere at rest", sdpid.write_mjcf, estimate, target=target)
 
 
 def test_a_floating_base_in_mujoco(tmp_path: Path):

@@ -44,6 +44,10 @@ _WORDS: dict[Kind, str] = {Coulomb: "dry friction", Viscous: "damping", RotorIne
 # Friction negative by no more than this (N·m, N·m·s/rad) is zero with a solver's rounding.
 _FRICTION_ZERO = 1e-9
 
+# Springs are at rest where their effort is this share of its largest factor: a solver of roots is
+# far nearer.
+_AT_REST = 1e-9
+
 # Speeds, rad/s or m/s, up to which a curve is fitted where no recording says otherwise.
 _NOMINAL = 1.0
 
@@ -253,7 +257,7 @@ class Seats:
             shift = self._robot.way({joint: 1.0})[1] if joint and name in self._joints else 0.0
             place = found.setdefault(joint, {}) if joint else {}
             own = of_position(attributes, factor, shift)
-            springs = one_spring([each for each in (place, own) if "stiffness" in each])
+            springs = one_spring([each for each in (place, own) if "stiffness" in each], joint)
             for key, value in own.items():
                 place[key] = springs[key] if key in springs else value + place.get(key, 0.0)
         return found
@@ -265,8 +269,14 @@ class Seats:
         return {name: Tendon(unit, self._held.get(name, {})) for name, unit in alone.items()}
 
 
-def one_spring(springs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return stiffness and rest of springs, about one position, together."""
+def one_spring(springs: Sequence[Mapping[str, Any]], joint: str) -> dict[str, Any]:
+    """Return stiffness and rest of the springs at a joint together.
+
+    Raises
+    ------
+    ExportError
+        When no position is one of rest: quadratic efforts may be of one sign.
+    """
     if len(springs) < 2:
         return {key: each[key] for each in springs for key in ("stiffness", "springref")}
     effort = Polynomial([0.0])
@@ -276,6 +286,11 @@ def one_spring(springs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     # A cubic effort may be zero at several positions: all springs do the same about any.
     roots = effort.roots()
     rest = float(roots[np.argmin(np.abs(roots.imag))].real)
+    if abs(effort(rest)) > _AT_REST * np.abs(effort.coef).max():
+        raise ExportError(
+            f"joint '{joint}': its spring and that of its motor are nowhere at rest together, as "
+            "springs of MuJoCo are; give one of them without a polynomial."
+        )
     powers = effort(Polynomial([rest, 1.0])).coef[1:].tolist()
     return {"stiffness": powers if len(powers) > 1 else powers[0], "springref": rest}
 
