@@ -296,3 +296,32 @@ def test_gears_leave_the_base_parameters_as_they_are(gears: tuple[float, ...]):
     for name in each[0]:
         links = [base[name][: plain.prior.size] for base in each]
         np.testing.assert_allclose(links[1], links[0], atol=1e-9)
+
+
+def test_limits_of_joints_are_those_of_their_motors_by_the_gears():
+    plain, ratios, shift = sdpid.load_robot("denso_vp6242"), np.array([50.0, -80.0]), [0.1, -0.2]
+    gears = sdpid.Transmission(np.diag(1.0 / ratios), shift, ("m1", "m2"), NAMES[:2])
+    robot = sdpid.load_robot("denso_vp6242", transmission=gears)
+    ends = ratios[:, None] * (plain.position_limits[:2] - np.array(shift)[:, None])
+    np.testing.assert_allclose(robot.position_limits[:2], np.sort(ends, axis=1))
+    np.testing.assert_allclose(robot.velocity_limits[:2], abs(ratios) * plain.velocity_limits[:2])
+    np.testing.assert_allclose(robot.effort_limits[:2], plain.effort_limits[:2] / abs(ratios))
+    np.testing.assert_array_equal(robot.position_limits[2:], plain.position_limits[2:])
+    # A wrist of two motors has no limits that are those of one.
+    wrist = sdpid.Transmission(WRIST, joints=NAMES[4:])
+    mixed = sdpid.load_robot("denso_vp6242", transmission=wrist)
+    assert np.isinf(mixed.position_limits[4:]).all()
+
+
+def test_what_is_assumed_of_joints_without_limits_is_so_behind_gears():
+    arm = described_arm(random_links(np.random.default_rng(5), 3))
+    assert arm.urdf is not None
+    gears = np.array([1.0, 50.0, -80.0])
+    geared = sdpid.load_robot(
+        arm.urdf, transmission=sdpid.Transmission(np.diag(1.0 / gears), names=("a", "b", "c"))
+    )
+    plain, found = sdpid.Limits().of(arm), sdpid.Limits().of(geared)
+    for name in ("upper", "velocity", "acceleration", "jerk"):
+        np.testing.assert_allclose(getattr(found, name), abs(gears) * getattr(plain, name))
+    assert any("b, c have no position limits" in each for each in found.assumed)
+    assert any("times the gear before a joint" in each for each in found.assumed)

@@ -291,7 +291,7 @@ def prior_information(rows: BaseRows, prior: Prior | bool | None, effort_rms: Ar
     if found is None:
         return np.zeros((base.count, base.count))
     limit = robot.velocity_limits
-    speed = np.where(np.isfinite(limit), _SPEED_SHARE * limit, _SPEED)
+    speed = np.where(np.isfinite(limit), _SPEED_SHARE * limit, _SPEED * robot.gears)
     phase = (np.arange(_STATES) + 0.5) * 2.0 * np.pi / _STATES
     wave = np.sqrt(2.0) * np.sin(phase)[:, None]
     samples = Samples(

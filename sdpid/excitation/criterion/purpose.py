@@ -90,8 +90,8 @@ def purpose_of(
     if name == "gravity":
         low, high = robot.position_limits.T
         low, high = (
-            np.where(np.isfinite(low), low, -np.pi),
-            np.where(np.isfinite(high), high, np.pi),
+            np.where(np.isfinite(low), low, -np.pi * robot.gears),
+            np.where(np.isfinite(high), high, np.pi * robot.gears),
         )
         q = np.random.default_rng(_SEED).uniform(low, high, (_POSTURES, robot.n))
         still = np.zeros_like(q)

@@ -46,6 +46,7 @@ from sdpid.experiment.preparation.prepare import friction_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.plausible import turning_limits
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.curve import is_closed
 from sdpid.experiment.trajectory.drawn import default_motion
@@ -146,7 +147,7 @@ def rehearse(
         robot.joint_names, noise, np.sqrt(np.mean(effort**2, axis=0)), trajectory.rate_hz
     )
     processing = replace(default_processing(log), covariance=None)
-    samples = process(log, processing, progress=False)
+    samples = process(log, processing, position_limits=turning_limits(robot), progress=False)
     rows = RowSource(robot, model, structural_base(robot, model), samples)
     gain, bandwidth = _gain(processing, trajectory.rate_hz)
     assert samples.time is not None

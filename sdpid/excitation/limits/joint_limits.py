@@ -259,7 +259,8 @@ class Narrowing:
             self._missing(
                 kind, missing, *(words.format(amount=each, seconds=seconds) for each in amounts)
             )
-            usual = np.minimum(before / seconds, np.where(self._sliding, *most[::-1]))
+            most_of_all = np.where(self._sliding, *most[::-1]) * self.robot.gears
+            usual = np.minimum(before / seconds, most_of_all)
             before = found[kind] = np.where(missing, usual if self.assume else np.inf, values)
         torque = self._size("torque")
         self._tell(np.isnan(torque), f"no torque limits; {_UNCHECKED}")
@@ -296,7 +297,8 @@ class Narrowing:
         spare = np.nan_to_num(0.5 * (1.0 - self.share) * (high - low))
         lower = self._merged("lower", low + spare, low)
         upper = self._merged("upper", high - spare, high)
-        way = np.where(self._sliding, _SHORT_WAY, _HALF_TURN) if self.assume else np.inf
+        usual = np.where(self._sliding, _SHORT_WAY, _HALF_TURN) * self.robot.gears
+        way = usual if self.assume else np.inf
         no_lower, no_upper = ~np.isfinite(lower), ~np.isfinite(upper)
         lower, upper = (
             np.where(no_lower, np.where(no_upper, about - way, upper - 2.0 * way), lower),
@@ -390,8 +392,11 @@ class Narrowing:
         if not self.assume:
             turning = slides = _UNCHECKED
         for words in dict.fromkeys((turning, slides)):
-            alike = np.where(self._sliding, slides == words, turning == words)
-            self._tell(where & alike, f"no {kind} limits; {words}")
+            alike = where & np.where(self._sliding, slides == words, turning == words)
+            geared = self.robot.gears > 1.0
+            self._tell(alike & ~geared, f"no {kind} limits; {words}")
+            times = ", times the gear before a joint" if self.assume else ""
+            self._tell(alike & geared, f"no {kind} limits; {words}{times}")
 
     def _mark(self, kind: str, where: Mask) -> None:
         """Note the joints whose limits are assumed, or none."""
@@ -406,9 +411,9 @@ class Narrowing:
         holding = float(mass.sum() * np.linalg.norm(robot.gravity) * length)
         most = _STRONGEST * holding if holding > 0.0 else np.inf
         for kinds, what, size, limit, unit in (
-            (("lower", "upper"), "ranges of positions", width, _WIDEST, "rad"),
-            (("velocity",), "velocity limits", velocity, _FASTEST, "rad/s"),
-            (("torque",), "torque limits", torque, most, "N·m"),
+            (("lower", "upper"), "ranges of positions", width / robot.gears, _WIDEST, "rad"),
+            (("velocity",), "velocity limits", velocity / robot.gears, _FASTEST, "rad/s"),
+            (("torque",), "torque limits", torque * robot.gears, most, "N·m"),
         ):
             described = np.all(np.array([self._sources[k] for k in kinds]) == DESCRIBED, axis=0)
             # Infinity is told as none.

@@ -248,10 +248,11 @@ def default_motion(
     rng = generator(seed)
     low, high = robot.position_limits.T
     limited = np.isfinite(low) & (low < high)
-    low, high = np.where(limited, low, -_UNLIMITED), np.where(limited, high, _UNLIMITED)
+    widest = _UNLIMITED * robot.gears
+    low, high = np.where(limited, low, -widest), np.where(limited, high, widest)
     center = (low + high) / 2.0
-    half = np.minimum(np.where(limited, _PART, 1.0) * (high - center), _WIDEST)
-    speeds = np.minimum(robot.velocity_limits, _FASTEST)
+    half = np.minimum(np.where(limited, _PART, 1.0) * (high - center), _WIDEST * robot.gears)
+    speeds = np.minimum(robot.velocity_limits, _FASTEST * robot.gears)
     draws = [rng.choice(available, _SINUSOIDS, replace=False) + 1 for _ in range(robot.n)]
     harmonics = np.sort(draws, axis=1)
     phases = rng.uniform(0.0, 2.0 * np.pi, harmonics.shape)

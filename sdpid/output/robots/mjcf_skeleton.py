@@ -122,7 +122,7 @@ def _joint(robot: RobotModel, i: int) -> dict[str, str]:
     name = str(robot.pin_model.names[i])
     mark = "slide" if robot.tree.kind[i - 1] == PRISMATIC else "hinge"
     values = {"name": name, "type": mark, "axis": numbers(robot.tree.axis[i - 1])}
-    if name in robot.joint_names:
+    if robot.seats().get(name) == (name, 1.0):
         column = robot.joint_names.index(name)
         lower, upper = robot.position_limits[column]
         if lower < upper < np.inf:

@@ -156,8 +156,8 @@ class RobotDynamics:
         """
         model = self._links.copy()
         model.gravity.linear = self.tilted_gravity
-        for column, joint in self.robot.single_joints():
-            model.armature[joint.idx_v] = self.drive_inertia[column, column]
+        for column, joint, factor in self.robot.seated_joints():
+            model.armature[joint.idx_v] = self.drive_inertia[column, column] / factor**2
         return model
 
     @cached_property

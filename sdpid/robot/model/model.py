@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -298,18 +298,6 @@ class RobotModel:
         values = np.array([*factors.values()])
         return values @ self.expansion[rows], float(values @ self.offset[rows])
 
-    def single_joints(self) -> list[tuple[int, Any]]:
-        """Return (column, Pinocchio joint) of each coordinate that is one joint of its own."""
-        columns = {name: j for j, name in enumerate(self.joint_names)}
-        model, units = self.pin_model, np.eye(self.n)
-        own = [(columns.get(model.names[i]), model.joints[i]) for i in range(1, model.njoints)]
-        # A motor may have the name of a joint that it does not move alone.
-        return [
-            (j, joint)
-            for j, joint in own
-            if j is not None and np.array_equal(self.expansion[joint.idx_v], units[j])
-        ]
-
     def seats(self) -> dict[str, tuple[str, float]]:
         """Return by coordinate a joint that it alone moves, and by which factor, if there is one.
 
@@ -323,6 +311,13 @@ class RobotModel:
                 if name not in found or joint == name:
                     found[name] = joint, float(row[moved[0]])
         return found
+
+    def seated_joints(self) -> Iterator[tuple[int, Any, float]]:
+        """Yield column, Pinocchio joint and factor of coordinates that move a joint alone."""
+        model, columns = self.pin_model, {name: j for j, name in enumerate(self.joint_names)}
+        for name, (joint, factor) in self.seats().items():
+            if columns[name] >= self.n_base:
+                yield columns[name], model.joints[model.getJointId(joint)], factor
 
     def seat(self, name: str) -> tuple[str, float]:
         """Return `seats` of one coordinate, ``""`` for none; a joint behind others has its own."""
@@ -347,16 +342,18 @@ class RobotModel:
 
     @property
     def position_limits(self) -> Array:
-        """Limits of the joints' positions, shape (n, 2), infinite where there are none.
+        """Limits of the coordinates' positions, shape (n, 2), infinite where there are none.
 
-        A joint from 0 to 0 has none: so a URDF is read that leaves them out.
+        They are those of a joint that the coordinate moves alone, by its gear. A joint from 0 to 0
+        has none: so a URDF is read that leaves them out.
         """
         limits, model = np.tile([-np.inf, np.inf], (self.n, 1)), self.pin_model
-        for column, joint in self.single_joints():
+        for column, joint, factor in self.seated_joints():
             at = joint.idx_q
             own = np.array([model.lowerPositionLimit[at], model.upperPositionLimit[at]])
             if joint.nq == 1 and own.any() and max(-own[0], own[1]) < _UNLIMITED:
-                limits[column] = own - self.offset[joint.idx_v]
+                ends = (own - self.offset[joint.idx_v]) / factor
+                limits[column] = ends if factor > 0.0 else ends[::-1]
         return limits
 
     @property
@@ -375,22 +372,23 @@ class RobotModel:
         """Return the rotor inertia of each coordinate in the description, (n,); a URDF has none."""
         return np.asarray(self.pin_model.armature @ self.expansion**2)
 
-    def _rate_limits(self, values: Array) -> Array:
+    def _sizes(self, values: Array, power: int) -> Array:
+        """Return limits (n,) from those of joints, by a power of the factors that move these."""
         limits = np.full(self.n, np.inf)
-        for column, joint in self.single_joints():
+        for column, joint, factor in self.seated_joints():
             if 0.0 < values[joint.idx_v] < _UNLIMITED:
-                limits[column] = values[joint.idx_v]
+                limits[column] = values[joint.idx_v] * abs(factor) ** power
         return limits
 
     @property
     def velocity_limits(self) -> Array:
         """Largest speeds, shape (n,), infinite where there are none, or zero."""
-        return self._rate_limits(self.pin_model.velocityLimit)
+        return self._sizes(self.pin_model.velocityLimit, -1)
 
     @property
     def effort_limits(self) -> Array:
         """Largest efforts, shape (n,), infinite where there are none, or zero."""
-        return self._rate_limits(self.pin_model.effortLimit)
+        return self._sizes(self.pin_model.effortLimit, 1)
 
     def configuration(self, position: ArrayLike) -> Array:
         """Return Pinocchio's configurations, (K, n) to (K, nq).
