@@ -1,11 +1,18 @@
 """Friction and drive terms: what a joint's effort holds beside the inertia of the links.
 
 ``build_problem(..., friction=("coulomb", "viscous", sdpid.friction.Stribeck()))`` takes names and
-term objects. A term of your own is a `JointwiseTerm` with its own ``shape``, or a `FrictionTerm`.
+term objects. A term of your own is a `JointwiseTerm` with its own ``shape``, or, where that depends
+on the position, a `PositionwiseTerm`, or a `FrictionTerm`.
 """
 
 from sdpid.robot.friction.posed import LoadFriction, PositionFriction, Tilt
-from sdpid.robot.friction.position import AtJoints, Hysteresis, PositionTerm, Spring
+from sdpid.robot.friction.position import (
+    AtJoints,
+    Hysteresis,
+    PositionTerm,
+    PositionwiseTerm,
+    Spring,
+)
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter, TermParameter
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
@@ -32,6 +39,7 @@ __all__ = [
     "OpenParameter",
     "PositionFriction",
     "PositionTerm",
+    "PositionwiseTerm",
     "RotorInertia",
     "SigmoidFriction",
     "Spring",

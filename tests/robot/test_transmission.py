@@ -325,3 +325,38 @@ def test_what_is_assumed_of_joints_without_limits_is_so_behind_gears():
         np.testing.assert_allclose(getattr(found, name), abs(gears) * getattr(plain, name))
     assert any("b, c have no position limits" in each for each in found.assumed)
     assert any("times the gear before a joint" in each for each in found.assumed)
+
+
+class Ripple(sdpid.friction.PositionwiseTerm):
+    symbol, unit, nonnegative = "Fp", "N.m", False
+
+    def shape(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        return np.cos(5.0 * position) * np.tanh(velocity / 0.1)
+
+
+def test_a_term_of_ones_own_depends_on_the_whole_motion():
+    arm, rng = described_arm(random_links(np.random.default_rng(5), 3)), np.random.default_rng(1)
+    q, v, a = random_states(rng, 3, 400)
+    true = np.array([0.3, -0.2, 0.1])
+    ripple = Ripple().shape(q, v, a) * true
+    samples = sdpid.Samples(
+        position=q,
+        velocity=v,
+        acceleration=a,
+        effort=arm.inverse_dynamics(arm.prior, q, v, a) + ripple,
+    )
+    problem = sdpid.build_problem(arm, samples, friction=("viscous", Ripple()))
+    found = sdpid.solve_sdp(problem)
+    values = found.named()
+    np.testing.assert_allclose([values[f"Fp{j}"] for j in (1, 2, 3)], true, atol=1e-4)
+    effort = found.model().inverse_dynamics(q, v, a)
+    np.testing.assert_allclose(effort, samples.effort, atol=1e-3)
+    with pytest.raises(ModelError, match="simulat"):
+        list(Ripple().simulated(true, arm.joint_names))
+
+    class Short(Ripple):
+        def shape(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+            return position[:, :1]
+
+    with pytest.raises(ModelError, match=r"its shape is .* for .* .samples, joints."):
+        sdpid.build_problem(arm, samples, friction=(Short(),))

@@ -6,7 +6,7 @@ import re
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from sdpid.robot.friction.term import (
     Place,
     SampledMotion,
     TermParameter,
+    diagonal,
+    of_each_joint,
 )
 
 # Parameters of a spring that is not linear.
@@ -64,13 +66,7 @@ class OneJoint(OfPosition):
         def shapes(positions: Array) -> Array:
             return self._shapes(positions[:, -n:] @ way + offset)
 
-        pose = 7 if robot.n_base else 0
-        if motion.position.shape[1] != pose + n:
-            raise ModelError(
-                f"{type(self).__name__}: positions of '{robot.name}' have "
-                f"{motion.position.shape[1]} columns, which are not one of each of {n} joints "
-                f"behind the base's {pose}; give these in place of configurations."
-            )
+        _require_angles(self, motion, n)
         return np.asarray(motion.along(shapes)[:, None, :] * way[:, None])
 
     def acting(
@@ -82,6 +78,69 @@ class OneJoint(OfPosition):
     @abstractmethod
     def _shapes(self, position: Array) -> Array:
         """Return the efforts (K, parameters) of parameters of one at positions (K,) in time."""
+
+
+class PositionwiseTerm(OfPosition):
+    """A term of your own with one parameter a joint, whose effort depends on the whole motion.
+
+    It needs a symbol (not ending in ``r``), a unit, a sign and a `shape`, as `JointwiseTerm` does,
+    and is evaluated at the samples, whatever the filter of the efforts.
+
+    Attributes
+    ----------
+    symbol : str
+        Beginning of the parameters' names.
+    unit : str
+        Their unit.
+    nonnegative : bool
+        Whether physics forbids negative values.
+
+    Examples
+    --------
+    >>> class Ripple(sdpid.friction.PositionwiseTerm):
+    ...     symbol, unit, nonnegative = "Fp", "N.m", False
+    ...     def shape(self, position, velocity, acceleration):
+    ...         return np.cos(12.0 * position) * np.tanh(velocity / 0.01)
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", Ripple()))
+    >>> problem.base.names[-2:]
+    ('Fv6', 'Fp6')
+    """
+
+    symbol: ClassVar[str]
+    unit: ClassVar[str]
+    nonnegative: ClassVar[bool]
+
+    @abstractmethod
+    def shape(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """Return the effort of a unit parameter at every joint, shape (K, n)."""
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return one parameter for each joint."""
+        return of_each_joint(joint_names, (self.symbol,), self.unit, self.nonnegative)
+
+    def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
+        """Return the columns: diagonal in the joints."""
+        n = len(joint_names)
+        _require_angles(self, motion, n)
+        found = self.shape(motion.position[:, -n:], motion.velocity, motion.acceleration)
+        shape = np.asarray(found, dtype=np.float64)
+        if shape.shape != motion.velocity.shape or not np.isfinite(shape).all():
+            raise ModelError(
+                f"{type(self).__name__}: its shape is {shape.shape} for {motion.velocity.shape} "
+                "(samples, joints), or not finite; give one finite number for each."
+            )
+        return diagonal(shape)
+
+
+def _require_angles(term: FrictionTerm, motion: SampledMotion, n: int) -> None:
+    """Refuse positions that are not one of each joint behind a base's seven."""
+    pose = 7 if motion.robot.n_base else 0
+    if motion.position.shape[1] != pose + n:
+        raise ModelError(
+            f"{type(term).__name__}: positions of '{motion.robot.name}' have "
+            f"{motion.position.shape[1]} columns, which are not one of each of {n} joints "
+            f"behind the base's {pose}; give these in place of configurations."
+        )
 
 
 def way_of(what: str, place: Place, robot: Any, joint_names: Sequence[str]) -> tuple[Array, float]:
