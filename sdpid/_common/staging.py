@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import secrets
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from sdpid._common.files import (
@@ -43,11 +44,14 @@ def _sealed(file: Path) -> dict[str, Any]:
 def _stage(folder: Path) -> Iterator[Path]:
     """Yield a hidden folder within one; both are made, and go again where nothing is in them."""
     made = [each for each in (folder, *folder.parents) if not each.exists()]
+    # Named before it is made, so that a signal at any time leaves none: TemporaryDirectory may.
+    stage = folder / f".sdpid-{secrets.token_hex(8)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".sdpid-", dir=folder, ignore_cleanup_errors=True) as name:
-            yield Path(name)
+        stage.mkdir(mode=0o700)
+        yield stage
     finally:
+        shutil.rmtree(stage, ignore_errors=True)
         with contextlib.suppress(OSError):
             for each in made:
                 each.rmdir()
