@@ -440,12 +440,13 @@ class Narrowing:
 def _within_mimics(robot: RobotModel, low: Array, high: Array) -> tuple[Array, Array]:
     """Return limits (n,) narrowed to those of the joints that follow others; NaN for none."""
     model, low, high = robot.pin_model, low.copy(), high.copy()
-    shared = []
+    # Whose limits are those of the coordinates already.
+    seated, shared = {joint for joint, _ in robot.seats().values()}, []
     for i in range(1, model.njoints):
         joint = model.joints[i]
         row = robot.expansion[joint.idx_v]
         alone = np.count_nonzero(row) == 1
-        if (model.names[i] in robot.joint_names and alone) or joint.nq != 1:
+        if model.names[i] in seated or joint.nq != 1:
             continue
         ends = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
         column = int(np.argmax(np.abs(row)))
