@@ -6,7 +6,7 @@ import re
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -15,13 +15,13 @@ from sdpid.errors import ModelError
 from sdpid.robot.friction.term import (
     EffortCurve,
     FrictionTerm,
+    OfEachJoint,
     OfMotion,
     OfPosition,
     Place,
     SampledMotion,
     TermParameter,
     diagonal,
-    of_each_joint,
 )
 
 # Parameters of a spring that is not linear.
@@ -80,20 +80,12 @@ class OneJoint(OfPosition):
         """Return the efforts (K, parameters) of parameters of one at positions (K,) in time."""
 
 
-class PositionwiseTerm(OfPosition):
+class PositionwiseTerm(OfEachJoint, OfPosition):
     """A term of your own with one parameter a joint, whose effort depends on the whole motion.
 
-    It needs a symbol (not ending in ``r``), a unit, a sign and a `shape`, as `JointwiseTerm` does,
-    and is evaluated at the samples, whatever the filter of the efforts.
-
-    Attributes
-    ----------
-    symbol : str
-        Beginning of the parameters' names.
-    unit : str
-        Their unit.
-    nonnegative : bool
-        Whether physics forbids negative values.
+    A class gives its `symbol`, with which names of parameters begin (it does not end in ``r``),
+    their `unit`, `nonnegative`, whether physics forbids negative values, and its `shape`.
+    It is evaluated at the samples, whatever the filter of the efforts.
 
     Examples
     --------
@@ -106,17 +98,9 @@ class PositionwiseTerm(OfPosition):
     ('Fv6', 'Fp6')
     """
 
-    symbol: ClassVar[str]
-    unit: ClassVar[str]
-    nonnegative: ClassVar[bool]
-
     @abstractmethod
     def shape(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the effort of a unit parameter at every joint, shape (K, n)."""
-
-    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
-        """Return one parameter for each joint."""
-        return of_each_joint(joint_names, (self.symbol,), self.unit, self.nonnegative)
 
     def columns_in(self, motion: SampledMotion, joint_names: Sequence[str]) -> Array:
         """Return the columns: diagonal in the joints."""

@@ -476,18 +476,24 @@ class OfPosition(FrictionTerm):
         )
 
 
+class OfEachJoint(FrictionTerm):
+    """A base of terms with one parameter of one symbol for each joint."""
+
+    symbol: ClassVar[str]
+    unit: ClassVar[str]
+    nonnegative: ClassVar[bool]
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return one parameter for each joint."""
+        return of_each_joint(joint_names, (self.symbol,), self.unit, self.nonnegative)
+
+
 @dataclass(frozen=True)
-class JointwiseTerm(FrictionTerm):
+class JointwiseTerm(OfEachJoint):
     """A term with one parameter per joint, which acts on that joint alone.
 
-    Attributes
-    ----------
-    symbol : str
-        Beginning of the parameters' names.
-    unit : str
-        Their unit.
-    nonnegative : bool
-        Whether physics forbids negative values.
+    A class gives its `symbol`, with which names of parameters begin (it does not end in ``r``),
+    their `unit`, `nonnegative`, whether physics forbids negative values, and its `shape`.
 
     Examples
     --------
@@ -500,17 +506,9 @@ class JointwiseTerm(FrictionTerm):
     ('Fs6', 'Fv6', 'Fd6')
     """
 
-    symbol: ClassVar[str]
-    unit: ClassVar[str]
-    nonnegative: ClassVar[bool]
-
     @abstractmethod
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the effort of a unit parameter at every joint, shape (K, n)."""
-
-    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
-        """Return one parameter for each joint."""
-        return of_each_joint(joint_names, (self.symbol,), self.unit, self.nonnegative)
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the columns: diagonal in the joints."""
